@@ -36,16 +36,19 @@ void FrameRings::forget(const FrameRing& ring) {
 }
 
 std::vector<WrittenFrame> FrameRings::write(std::span<const splatbus_frame> frames) {
-  std::vector<WrittenFrame> written;
   std::vector<BegunFrame> begun;
-  for (const splatbus_frame& frame : frames) {
-    begun.push_back(begin(frame));
-    const auto& ring = begun.back().ring;
-    const auto in_ring = static_cast<std::size_t>(std::ranges::count(begun, ring, &BegunFrame::ring));
-    if (in_ring >= ring->slab->slots() / 2) finish(begun, written);
+  try {
+    for (const splatbus_frame& frame : frames) {
+      begun.push_back(begin(frame));
+      const auto& ring = begun.back().ring;
+      const auto in_ring = static_cast<std::size_t>(std::ranges::count(begun, ring, &BegunFrame::ring));
+      if (in_ring >= ring->slab->slots() / 2) break;
+    }
+  } catch (...) {
+    bus::finish_copies();  // the caller's images are his again
+    throw;
   }
-  finish(begun, written);
-  return written;
+  return finish(begun);
 }
 
 FrameRings::BegunFrame FrameRings::begin(const splatbus_frame& frame) {
@@ -65,8 +68,9 @@ FrameRings::BegunFrame FrameRings::begin(const splatbus_frame& frame) {
   return begun;
 }
 
-void FrameRings::finish(std::vector<BegunFrame>& begun, std::vector<WrittenFrame>& written) {
+std::vector<WrittenFrame> FrameRings::finish(const std::vector<BegunFrame>& begun) {
   bus::finish_copies();
+  std::vector<WrittenFrame> written;
   for (const BegunFrame& done : begun) {
     bus::Slab& slab = *done.ring->slab;
     const std::uint64_t generation = slab.end_write(done.slot);
@@ -84,7 +88,7 @@ void FrameRings::finish(std::vector<BegunFrame>& begun, std::vector<WrittenFrame
       offset += bus::aligned(image.bytes);
     }
   }
-  begun.clear();
+  return written;
 }
 
 }  // namespace splatbus::engine_sdk

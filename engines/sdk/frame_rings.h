@@ -33,9 +33,9 @@ class FrameRings {
  public:
   FrameRings(std::shared_ptr<bus::Context> context, Device kind) : context_(std::move(context)), kind_(kind) {}
 
-  /// Copies the images of checked frames, from whichever memory each lies in, and waits for the copies of as many as half
-  /// a ring holds together; never for the broker. Throws bus::Error when there is no memory for a ring, or the device
-  /// fails.
+  /// Copies the images of the first of some checked frames, from whichever memory each lies in: of as many as half of a
+  /// ring holds, so that readers have time for them. Waits for the copies together, never for the broker. Throws
+  /// bus::Error when there is no memory for a ring, or the device fails; no copy is under way then.
   [[nodiscard]] std::vector<WrittenFrame> write(std::span<const splatbus_frame> frames);
 
   /// The next frame of its size gets another ring.
@@ -53,7 +53,7 @@ class FrameRings {
   };
   [[nodiscard]] BegunFrame begin(const splatbus_frame& frame);
   /// Waits for their copies.
-  static void finish(std::vector<BegunFrame>& begun, std::vector<WrittenFrame>& written);
+  [[nodiscard]] static std::vector<WrittenFrame> finish(const std::vector<BegunFrame>& begun);
   const std::shared_ptr<FrameRing>& ring_for(std::size_t bytes);
 
   std::shared_ptr<bus::Context> context_;

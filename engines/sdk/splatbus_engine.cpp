@@ -153,29 +153,36 @@ splatbus_status splatbus_engine_submit(splatbus_engine* engine, const splatbus_f
 splatbus_status splatbus_engine_submit_all(splatbus_engine* engine, const splatbus_frame* frames, size_t count) {
   if (engine == nullptr) return SPLATBUS_ERROR_ARGUMENT;
   return guarded_call(engine->error, [&] {
-    require(frames != nullptr || count == 0, "splatbus_engine_submit: frame is NULL");
-    const std::span submitted(frames, count);
+    require(frames != nullptr || count == 0, "splatbus_engine_submit: frames are NULL");
+    std::span left(frames, count);
     bus::TracedWork work("submit picture");
+    std::vector<std::int64_t> captured_ns;
     std::optional<engine_sdk::EngineClock> last = engine->last;
-    for (const splatbus_frame& frame : submitted) {
+    for (const splatbus_frame& frame : left) {
       std::string wrong = engine_sdk::problem(frame);
       if (wrong.empty() && last) wrong = engine_sdk::problem(frame, *last);
       if (!wrong.empty()) throw ArgumentError(fmt::format("splatbus_engine_submit: frame {}: {}", frame.frame, wrong));
+      const bool same_frame = last && last->frame == frame.frame;
+      const std::int64_t before = captured_ns.empty() ? engine->capture_ns : captured_ns.back();
+      captured_ns.push_back(same_frame ? before : bus::now_ns());
       last = {.frame = frame.frame, .time_s = frame.time_s};
     }
-    std::vector<engine_sdk::WrittenFrame> written = engine->rings.write(submitted);
-    for (const engine_sdk::WrittenFrame& one : written) {
-      if (const std::string refusal = engine->sender.refusal(*one.ring); !refusal.empty()) {
-        engine->rings.forget(*one.ring);
-        throw bus::Error(refusal);
+    while (!left.empty()) {
+      std::vector<engine_sdk::WrittenFrame> written = engine->rings.write(left);
+      for (const engine_sdk::WrittenFrame& one : written) {
+        if (const std::string refusal = engine->sender.refusal(*one.ring); !refusal.empty()) {
+          engine->rings.forget(*one.ring);
+          throw bus::Error(refusal);
+        }
       }
-    }
-    for (std::size_t i = 0; i < count; ++i) {
-      const bool same_frame = engine->last && engine->last->frame == frames[i].frame;
-      if (!same_frame) engine->capture_ns = bus::now_ns();
-      work.is_of(engine->capture_ns, 0);
-      engine->sender.send(frames[i], std::move(written[i]), engine->capture_ns);
-      engine->last = {.frame = frames[i].frame, .time_s = frames[i].time_s};
+      for (std::size_t i = 0; i < written.size(); ++i) {
+        const splatbus_frame& frame = left[i];
+        engine->capture_ns = captured_ns[count - left.size() + i];
+        work.is_of(engine->capture_ns, 0);
+        engine->sender.send(frame, std::move(written[i]), engine->capture_ns);
+        engine->last = {.frame = frame.frame, .time_s = frame.time_s};
+      }
+      left = left.subspan(written.size());
     }
     engine->service.counter("host_copied_bytes", static_cast<double>(engine->rings.host_copied_bytes()));
     if (const std::uint64_t dropped = engine->sender.dropped(); dropped > 0) {

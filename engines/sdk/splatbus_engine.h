@@ -202,9 +202,10 @@ splatbus_status splatbus_engine_poll(splatbus_engine* engine, int timeout_ms, co
  * lie there, and has ended when the call returns: the image may be written again at once. */
 splatbus_status splatbus_engine_submit(splatbus_engine* engine, const splatbus_frame* frame);
 
-/* As splatbus_engine_submit() for each of `count` cameras in turn, of one frame or of several; but copies on a device are
- * waited for together. Others use the device meanwhile, and each wait is as long as their turn. Where one is refused,
- * nothing of the call is published. */
+/* As splatbus_engine_submit() for each of `count` cameras in turn, of one frame or of several; but copies on a device
+ * are waited for together, those of as many as half a ring holds (4 large frames, 64 small ones). Others use the device
+ * meanwhile, and each wait is as long as their turn. Where an argument is refused nothing of the call is published;
+ * where the bus has no memory, or the device fails, what came before that may be. */
 splatbus_status splatbus_engine_submit_all(splatbus_engine* engine, const splatbus_frame* frames, size_t count);
 
 /* Shown in heartbeats, which are sent 5 times a second. */

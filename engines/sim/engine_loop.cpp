@@ -147,7 +147,9 @@ void EngineLoop::render_cameras(std::uint64_t frame, const std::vector<splatbus_
       left = left.subspan(1);
       continue;
     }
-    const std::size_t rendered = render_next(frame, left);
+    const double left_ms = static_cast<double>(end_ns - now_ns()) * 1e-6;
+    const auto in_time = static_cast<std::size_t>(std::max(1.0, left_ms / std::max(render_ms_, 1e-3)));
+    const std::size_t rendered = render_next(frame, left.first(bounded ? std::min(in_time, left.size()) : left.size()));
     has_picture = has_picture || std::ranges::any_of(left.first(rendered), is_picture);
     left = left.subspan(rendered);
   }
@@ -174,11 +176,29 @@ std::size_t EngineLoop::render_next(std::uint64_t frame, std::span<const splatbu
     assert(images.size() == drawn.frames.size());
     count_render(begin_ns, images.size());
     for (std::size_t i = 0; i < images.size(); ++i) show(images[i], drawn.frames[i]);
-    submit(drawn.frames);
   } catch (const std::exception& why) {
     for (const splatbus_camera_request& request : drawn.requests) failed(frame, request, why);
+    return next.size();
   }
+  submit_drawn(frame, drawn);
   return next.size();
+}
+
+void EngineLoop::submit_drawn(std::uint64_t frame, const Drawn& drawn) {
+  try {
+    submit(drawn.frames);
+    return;
+  } catch (const std::exception& why) {
+    spdlog::warn("frame {}: of {} cameras one is refused: {}", frame, drawn.frames.size(), why.what());
+  }
+  // What is wrong with one of them is not the others'; to send one twice does no harm.
+  for (std::size_t i = 0; i < drawn.frames.size(); ++i) {
+    try {
+      submit(std::span(drawn.frames).subspan(i, 1));
+    } catch (const std::exception& why) {
+      failed(frame, drawn.requests[i], why);
+    }
+  }
 }
 
 void EngineLoop::draw(std::uint64_t frame, const splatbus_camera_request& request, Drawn& drawn) {

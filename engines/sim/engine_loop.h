@@ -64,6 +64,7 @@ class EngineLoop {
   };
   /// Through host memory it is submitted at once.
   void draw(std::uint64_t frame, const splatbus_camera_request& request, Drawn& drawn);
+  void submit_drawn(std::uint64_t frame, const Drawn& drawn);
   void failed(std::uint64_t frame, const splatbus_camera_request& request, const std::exception& why);
   /// Of the instant, without its images.
   [[nodiscard]] splatbus_frame frame_of(std::uint64_t frame, const splatbus_camera_request& request,

@@ -132,7 +132,8 @@ void Renderer::warm_up(DeviceReadback* readback) {
     // The light's camera has every object in view, and so every program in use.
     const splatbus_camera camera = light_camera(0, kSize, kSize);
     for (const std::uint32_t buffers : {kShadeBuffers | kGeometryBuffers, std::uint32_t{SPLATBUS_BUFFER_COLOR}}) {
-      render(camera, buffers | SPLATBUS_BUFFER_LIGHT_DEPTH, readback != nullptr ? static_cast<Readback&>(*readback) : host);
+      render(camera, buffers | SPLATBUS_BUFFER_LIGHT_DEPTH,
+             readback != nullptr ? static_cast<Readback&>(*readback) : host);
       if (readback != nullptr) static_cast<void>(readback->finish());
     }
   };

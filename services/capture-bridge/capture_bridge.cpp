@@ -298,8 +298,8 @@ void CaptureBridge::refresh(Refresh& of, CameraRole role, double rate_hz, std::i
 void CaptureBridge::submit_round(InputRig& rig) {
   rig.submitted_ns = bus::now_ns();
   InputJob job{.views = rig.round.take(), .rig_generation = rig.round.rig_generation(), .options = options_->sampling};
-  // The cameras that are asked for later bring their own: a part of a dome is not to be sampled more finely, but for what
-  // the viewer is about to see.
+  // The cameras that are asked for later bring their own: a part of a dome is not to be sampled more finely, but for
+  // what the viewer is about to see.
   const double share = std::max(rig.share_asked(), options_->glance_share);
   job.options.budget = static_cast<std::size_t>(static_cast<double>(job.options.budget) * share);
   worker_.submit(std::move(job));

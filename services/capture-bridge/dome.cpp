@@ -29,6 +29,8 @@ DomePlace dome_place(const DomePlacement& options, const Viewer* viewer, const F
 
 namespace {
 
+constexpr float kEyeMargin = 1.15F;  // of the tangents of half a picture's angles
+
 /// Of places ever higher over the dome's centre the first that can be seen, else the one that was wished, drawn back.
 glm::vec3 free_place(const glm::vec3& wished, const glm::vec3& centre, const FreeSpace& free, float clearance_m) {
   const float radius_m = glm::distance(wished, centre);
@@ -56,33 +58,44 @@ std::vector<Camera> free_dome(const DomeOptions& options, const DomePlace& place
   return cameras;
 }
 
-std::vector<Camera> eye_cameras(const DomeOptions& options, const DomePlacement& placement, const Viewer& viewer,
-                                const FreeSpace* free, float clearance_m, std::size_t about) {
-  constexpr float kMargin = 1.15F;        // of the tangents of half a picture's angles
-  constexpr float kWidest = 1.9198622F;   // of a picture that looks about: 110 degrees
+Camera eye_camera(const DomeOptions& options, const DomePlacement& placement, const Viewer& viewer,
+                  const FreeSpace* free, float clearance_m) {
   DomeOptions one = options;
   one.cameras = 1;
   Camera camera = dome_cameras(one, {0, 0, 0}, 0).front();
   const Camera& picture = viewer.camera;
   const auto focal = [](std::uint32_t pixels, std::uint32_t own, float centre, float its_focal) {
     const float half = std::max(centre, static_cast<float>(pixels) - centre);
-    return 0.5F * static_cast<float>(own) * its_focal / (kMargin * half);
+    return 0.5F * static_cast<float>(own) * its_focal / (kEyeMargin * half);
   };
   camera.fx = camera.fy = std::min({camera.fx, focal(picture.width, camera.width, picture.cx, picture.fx),
                                     focal(picture.height, camera.height, picture.cy, picture.fy)});
   camera.world_from_camera = viewer.pose_in(placement.lead_s);
   glm::vec3& eye = camera.world_from_camera.translation;
   eye = free != nullptr ? free->reachable(eye, clearance_m) : viewer.position();
-  std::vector<Camera> cameras{camera};
-  const float step = glm::two_pi<float>() / static_cast<float>(about + 1);
-  camera.fx = camera.fy =
-      0.5F * static_cast<float>(camera.width) / (kMargin * std::tan(0.5F * std::min(step, kWidest)));
-  const glm::vec3 gaze = camera.world_from_camera.rotation * glm::vec3(0, 0, 1);
+  return camera;
+}
+
+std::vector<Camera> cameras_about(const Camera& eye, const FreeSpace* free, std::size_t count) {
+  constexpr float kWidest = 1.9198622F;  // 110 degrees
+  if (count == 0) return {};
+  const glm::vec3 gaze = eye.world_from_camera.rotation * glm::vec3(0, 0, 1);
   const float heading = std::atan2(gaze.z, gaze.x);
-  for (std::size_t k = 1; k <= about; ++k) {
-    const float angle = heading + step * static_cast<float>(k);
-    const glm::vec3 direction(std::cos(angle), 0, std::sin(angle));
-    camera.world_from_camera = look_at(eye, eye + direction, 1, 1, 1).world_from_camera;
+  // Of the level the eye sees this much to either side, or nothing where it looks up or down.
+  const bool sees_level = std::abs(gaze.y) < std::sin(std::atan(0.5F * static_cast<float>(eye.height) / eye.fy));
+  const float seen = sees_level ? std::atan(0.5F * static_cast<float>(eye.width) / eye.fx) : 0;
+  const float step = (glm::two_pi<float>() - 2 * seen) / static_cast<float>(count);
+  const auto level = [](float angle) { return glm::vec3(std::cos(angle), 0, std::sin(angle)); };
+  const auto shows = [&](float angle) { return free == nullptr || !std::isinf(free->distance(level(angle))); };
+  Camera camera = eye;
+  camera.fx = camera.fy =
+      0.5F * static_cast<float>(camera.width) / (kEyeMargin * std::tan(0.5F * std::min(step, kWidest)));
+  std::vector<Camera> cameras;
+  for (std::size_t k = 0; k < count; ++k) {
+    const float angle = heading + seen + step * (static_cast<float>(k) + 0.5F);
+    if (!shows(angle) && !shows(angle + step / 3) && !shows(angle - step / 3)) continue;
+    const glm::vec3& place = eye.world_from_camera.translation;
+    camera.world_from_camera = look_at(place, place + level(angle), 1, 1, 1).world_from_camera;
     cameras.push_back(camera);
   }
   return cameras;

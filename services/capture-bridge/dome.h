@@ -26,11 +26,14 @@ struct DomePlace {
 [[nodiscard]] std::vector<Camera> free_dome(const DomeOptions& options, const DomePlace& place, const FreeSpace* free,
                                             float clearance_m);
 
-/// Input cameras where the viewer will be, as far as he can get. The first has his gaze of then: all that his own
-/// picture will show, and a margin about it. The dome looks at what is before him, and at no ceiling and through no door.
-/// `about` further ones look level all about from there: wherever he turns is modelled before he has turned.
-[[nodiscard]] std::vector<Camera> eye_cameras(const DomeOptions& options, const DomePlacement& placement,
-                                              const Viewer& viewer, const FreeSpace* free, float clearance_m,
-                                              std::size_t about);
+/// An input camera where the viewer will be, as far as he can get, with his gaze of then: all that his own picture will
+/// show, and a margin about it. The dome looks at what is before him, and at no ceiling and through no door.
+[[nodiscard]] Camera eye_camera(const DomeOptions& options, const DomePlacement& placement, const Viewer& viewer,
+                                const FreeSpace* free, float clearance_m);
+
+/// `count` cameras in the eye's place that look level about, over what the eye does not see, but for those in whose way
+/// nothing stands at its height. Three or more leave no direction out: wherever the viewer turns is modelled before he
+/// has turned.
+[[nodiscard]] std::vector<Camera> cameras_about(const Camera& eye, const FreeSpace* free, std::size_t count);
 
 }  // namespace splatbus::capture_bridge

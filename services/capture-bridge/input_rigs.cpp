@@ -14,11 +14,11 @@ namespace {
 
 using wire::EngineBuffer;
 
-constexpr int kLeastCameras = 4;        // a round by fewer shows too little
-constexpr std::size_t kCamerasAnAbout = 4;  // besides the eye, for each that looks about
-constexpr int kMaxBlind = 3;            // pictures of a camera, before it is given up
-constexpr float kEyeMove_m = 0.25F;     // beyond which the eye looks anew
-constexpr float kEyeTurn = 0.9659258F;  // cosine of 15 degrees
+constexpr int kLeastCameras = 4;                 // a round by fewer shows too little
+constexpr std::size_t kCamerasForEachAbout = 4;  // besides the eye
+constexpr int kMaxBlind = 3;                     // pictures of a camera, before it is given up
+constexpr float kEyeMove_m = 0.25F;              // beyond which the eye looks anew
+constexpr float kEyeTurn = 0.9659258F;           // cosine of 15 degrees
 constexpr std::int64_t kEyePeriodNs = 200'000'000;
 constexpr std::int64_t kRangePatienceNs = 300'000'000;  // then a dome stands untested
 
@@ -58,14 +58,15 @@ std::vector<Camera> InputRigs::update(const Options& options, bool anew, const V
     InputRig& rig = rigs_[wish.name];
     if (shares.at(wish.name) == 0) continue;
     const auto due_cameras = static_cast<std::size_t>(std::min(shares.at(wish.name), kLeastCameras));
-    const bool robbed = rig.cameras.size() < due_cameras;
+    const bool robbed = rig.cameras.size() + rig.to_come.size() < due_cameras;
+    std::size_t ahead = 0;
     if (anew || is_due(options, wish, robbed, rig, now_ns)) {
-      place(options, wish, shares, now_ns);
+      ahead = place(options, wish, shares, now_ns);
     } else {
       if (options.glance_share > 0 && options.input_rate_hz <= 0) follow_eye(options, wish, rig, now_ns, cameras);
       if (rig.to_come.empty() || !rig.round.missing().empty()) continue;
     }
-    grow(options, cameras, rig);
+    grow(options, cameras, ahead, rig);
     placed.push_back(wish.name);
   }
   const std::size_t before = rigs_.size();
@@ -121,8 +122,8 @@ bool InputRigs::is_due(const Options& options, const Wish& wish, bool robbed, In
   return now_ns - *rig.waits_since_ns >= kRangePatienceNs;
 }
 
-void InputRigs::place(const Options& options, const Wish& wish, const CameraShares::Shares& shares,
-                      std::int64_t now_ns) {
+std::size_t InputRigs::place(const Options& options, const Wish& wish, const CameraShares::Shares& shares,
+                             std::int64_t now_ns) {
   shares_.take_share(wish.name, shares);
   const std::span<const std::uint32_t> ids = shares_.of(wish.name);
   InputRig& rig = rigs_.at(wish.name);
@@ -134,40 +135,53 @@ void InputRigs::place(const Options& options, const Wish& wish, const CameraShar
   rig.anchor = wish.free != nullptr     ? wish.free->place()
                : wish.viewer != nullptr ? wish.viewer->position()
                                         : wish.place.centre + glm::vec3(0, options.dome.radius_m, 0);
-  std::vector<Camera> eyes;
+  std::vector<Camera> ahead;
   if (wish.viewer != nullptr && !options.placement.fixed_centre && ids.size() > 1) {
-    const std::size_t about = std::min(static_cast<std::size_t>(options.placement.about), (ids.size() - 1) / kCamerasAnAbout);
-    eyes = eye_cameras(options.dome, options.placement, *wish.viewer, wish.free, options.clearance_m, about);
-    rig.eye_wished = eyes.front().world_from_camera;
+    const Camera eye = eye_camera(options.dome, options.placement, *wish.viewer, wish.free, options.clearance_m);
+    const std::size_t most = (ids.size() - 1) / kCamerasForEachAbout;
+    ahead = cameras_about(eye, wish.free, std::min(static_cast<std::size_t>(options.placement.about), most));
+    ahead.insert(ahead.begin(), eye);
+    rig.eye_wished = eye.world_from_camera;
   }
   DomeOptions dome = options.dome;
-  dome.cameras = static_cast<int>(ids.size() - eyes.size());
+  dome.cameras = static_cast<int>(ids.size() - ahead.size());
   const std::vector<Camera> stands = free_dome(dome, wish.place, wish.free, options.clearance_m);
-  const std::vector<std::size_t> places = spread_places(stands.size());
+  // Where the one before never got its dome, because the viewer passed it sooner, this one does not wait for its own.
+  const bool goes_ahead = ahead.size() > 1 && rig.to_come.empty() && options.input_rate_hz <= 0;
   rig.cameras.clear();
   rig.to_come.clear();
+  rig.about.clear();
   rig.blind.clear();
-  rig.ahead = eyes.size();
-  rig.eye = eyes.empty() ? std::nullopt : std::optional(ids.front());
+  rig.eye = ahead.empty() ? std::nullopt : std::optional(ids.front());
   rig.eye_in_flight = false;
-  for (std::size_t k = 0; k < ids.size(); ++k) {
-    Camera camera = k < eyes.size() ? eyes[k] : stands[places[k - eyes.size()]];
-    camera.id = ids[k];
+  const auto add = [&](Camera camera, std::uint32_t id) {
+    camera.id = id;
     camera.near_m = options.near_m;
     camera.far_m = options.far_m;
     rig.to_come.push_back(camera);
+  };
+  // Others take the last ids first: what looks about can be missed sooner than the dome, and the eye last of all.
+  for (std::size_t k = 0; k < ahead.size(); ++k) {
+    const std::uint32_t id = k == 0 ? ids.front() : ids[ids.size() - k];
+    if (k > 0) rig.about.insert(id);
+    add(ahead[k], id);
   }
+  const std::vector<std::size_t> places = spread_places(stands.size());
+  const std::size_t first = ahead.empty() ? 0 : 1;
+  for (std::size_t k = 0; k < stands.size(); ++k) add(stands[places[k]], ids[first + k]);
+  return goes_ahead ? ahead.size() : 0;
 }
 
-void InputRigs::grow(const Options& options, const CameraSet& cameras, InputRig& rig) {
+void InputRigs::grow(const Options& options, const CameraSet& cameras, std::size_t ahead, InputRig& rig) {
   std::size_t most = rig.to_come.size();
+  const auto first = std::span(rig.to_come).first(ahead);
+  const auto to_render = std::ranges::count_if(first, [&](const Camera& camera) { return !cameras.asks_for(camera); });
+  if (to_render > 0) most = static_cast<std::size_t>(to_render);
   // At a rate all cameras are rendered again and again, wherever they stand.
   if (pictures_per_s_ && options.input_rate_hz <= 0) {
     const double in_time = *pictures_per_s_ * options.input_deadline_s;
     most = std::min(most, static_cast<std::size_t>(std::max<double>(kLeastCameras, in_time)));
   }
-  if (rig.ahead > 1 && options.input_rate_hz <= 0) most = std::min(most, rig.ahead);
-  rig.ahead = 0;
   std::size_t taken = 0;
   std::erase_if(rig.to_come, [&](const Camera& camera) {
     const bool stands = cameras.asks_for(camera);  // and costs nothing
@@ -184,8 +198,7 @@ void InputRigs::follow_eye(const Options& options, const Wish& wish, InputRig& r
   if (now_ns - rig.eye_asked_ns < (rig.eye_in_flight ? nanoseconds(options.input_deadline_s) : kEyePeriodNs)) return;
   const auto eye = std::ranges::find(rig.cameras, *rig.eye, &Camera::id);
   if (eye == rig.cameras.end()) return;
-  Camera now =
-      eye_cameras(options.dome, options.placement, *wish.viewer, wish.free, options.clearance_m, 0).front();
+  Camera now = eye_camera(options.dome, options.placement, *wish.viewer, wish.free, options.clearance_m);
   const Rigid &from = rig.eye_wished, &to = now.world_from_camera;
   const bool moved = glm::distance(from.translation, to.translation) > kEyeMove_m;
   const bool turned = glm::dot(from.rotation * glm::vec3(0, 0, 1), to.rotation * glm::vec3(0, 0, 1)) < kEyeTurn;
@@ -303,7 +316,10 @@ void InputRigs::blind(InputRig& rig, std::uint32_t camera_id, std::int64_t now_n
   answered_ = true;
   const auto camera = std::ranges::find(rig.cameras, camera_id, &Camera::id);
   if (camera == rig.cameras.end()) return;
-  if (++rig.blind[camera_id] >= kMaxBlind) {
+  // Elsewhere one that looks about would see what the eye does.
+  int& blind = rig.blind[camera_id];
+  blind = rig.about.contains(camera_id) ? kMaxBlind : blind + 1;
+  if (blind >= kMaxBlind) {
     rig.round.drop(camera_id);
     if (rig.round.missing().empty()) measure(rig, now_ns);
     return;

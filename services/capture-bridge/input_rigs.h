@@ -5,6 +5,7 @@
 #include <glm/glm.hpp>
 #include <map>
 #include <optional>
+#include <set>
 #include <span>
 #include <string>
 #include <utility>
@@ -25,9 +26,6 @@ struct InputRig {
   /// Cameras of this place that are asked for when those are there: an engine that renders slowly does not get a whole
   /// dome at once, or a viewer who walks on would always wait for pictures of where he was.
   std::vector<Camera> to_come;
-  /// So many of those to come look from where the viewer will be, and are asked for before the dome: what he sees next is
-  /// in the model before what he might.
-  std::size_t ahead = 0;
   DomePlace place;
   InputRound round;
   std::int64_t asked_ns = 0;     ///< last request for, or arrival of, a picture
@@ -45,6 +43,8 @@ struct InputRig {
   bool eye_in_flight = false;  ///< a picture of it, apart from the dome's, is on its way
   std::int64_t eye_asked_ns = 0;
   InputViewPointer glance;  ///< it, until it is handed on
+
+  std::set<std::uint32_t> about;  ///< those that look about from the eye's place
 
   glm::vec3 anchor{0};                 ///< where the cameras could be seen from; blind ones draw nearer to it
   std::map<std::uint32_t, int> blind;  ///< how often a camera's picture was, by camera id
@@ -106,9 +106,13 @@ class InputRigs {
   /// `robbed`: others have so many of its cameras that it has no dome any more.
   [[nodiscard]] bool is_due(const Options& options, const Wish& wish, bool robbed, InputRig& rig,
                             std::int64_t now_ns) const;
-  void place(const Options& options, const Wish& wish, const CameraShares::Shares& shares, std::int64_t now_ns);
-  /// Takes so many of the cameras that are to come as the engine renders in time for a round.
-  void grow(const Options& options, const CameraSet& cameras, InputRig& rig);
+  /// Returns how many of the cameras that are to come show what the viewer sees next, the first of them: they are asked
+  /// for before the dome. 0: none has to go ahead.
+  [[nodiscard]] std::size_t place(const Options& options, const Wish& wish, const CameraShares::Shares& shares,
+                                  std::int64_t now_ns);
+  /// Takes the first `ahead` of the cameras that are to come, or, with 0 or where these stand, so many as the engine
+  /// renders in time for a round.
+  void grow(const Options& options, const CameraSet& cameras, std::size_t ahead, InputRig& rig);
   /// The engine's rate, by a round that has come to its end.
   void measure(const InputRig& rig, std::int64_t now_ns);
   /// Has the eye look from where the viewer will be, once it has shown where it stood.

@@ -67,7 +67,8 @@ void Options::bind(bus::ParameterBinder& p) {
   p.add("input_views", input_views, "publish input pictures as training views too");
   p.add("sample_budget", sampling.budget, "most samples in one input round", {100, 4e6});
   p.add("glance_share", glance_share,
-        "share of sample_budget that the picture of a viewer's eye brings at once, and at least of a part of a dome; 0: it "
+        "share of sample_budget that the picture of a viewer's eye brings at once, and at least of a part of a dome; "
+        "0: it "
         "waits for its round",
         {0, 1});
   p.add("far_field", far_field,

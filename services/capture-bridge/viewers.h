@@ -16,9 +16,9 @@ struct Viewer {
   Camera camera;
   glm::vec3 velocity_m_s{0};
   glm::vec3 turn_radians_s{0};  ///< about this axis of the world, by its length
-  std::uint64_t jumps = 0;    ///< poses so far that were farther from the one before than anybody walks
-  std::uint64_t arrival = 0;  ///< whoever came earlier has a smaller one
-  std::int64_t posed_ns = 0;  ///< CLOCK_MONOTONIC
+  std::uint64_t jumps = 0;      ///< poses so far that were farther from the one before than anybody walks
+  std::uint64_t arrival = 0;    ///< whoever came earlier has a smaller one
+  std::int64_t posed_ns = 0;    ///< CLOCK_MONOTONIC
 
   [[nodiscard]] const glm::vec3& position() const { return camera.world_from_camera.translation; }
   /// Unit, world.

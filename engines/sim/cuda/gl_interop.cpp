@@ -27,7 +27,8 @@ bool renders_on_first_device() {
 }
 
 GlInterop::~GlInterop() {
-  if (!mapped_.empty()) cudaGraphicsUnmapResources(static_cast<int>(mapped_.size()), mapped_.data(), cudaStreamPerThread);
+  if (!mapped_.empty())
+    cudaGraphicsUnmapResources(static_cast<int>(mapped_.size()), mapped_.data(), cudaStreamPerThread);
   for (auto& camera : buffers_) {
     for (auto& [buffer, pixels] : camera) {
       if (pixels.resource != nullptr) cudaGraphicsUnregisterResource(pixels.resource);

@@ -14,8 +14,8 @@ namespace splatbus::sim::cuda {
 [[nodiscard]] bool renders_on_first_device();
 
 /// Reads pictures into pixel buffer objects that CUDA maps: OpenGL converts and lays them out as for the host, and they
-/// never leave the device. One buffer for each of splatbus_buffer and each camera that is read before the next finish(),
-/// registered once and again only when it grows.
+/// never leave the device. One buffer for each of splatbus_buffer and each camera that is read before the next
+/// finish(), registered once and again only when it grows.
 class GlInterop final : public DeviceReadback {
  public:
   GlInterop() = default;
@@ -38,7 +38,7 @@ class GlInterop final : public DeviceReadback {
   void unmap();
 
   std::vector<std::map<splatbus_buffer, PixelBuffer>> buffers_;  ///< by camera since the last finish()
-  std::vector<std::vector<cudaGraphicsResource*>> taken_;       ///< resources of images_
+  std::vector<std::vector<cudaGraphicsResource*>> taken_;        ///< resources of images_
   std::vector<std::vector<splatbus_image>> images_;
   std::vector<cudaGraphicsResource*> mapped_;
   bool finished_ = false;

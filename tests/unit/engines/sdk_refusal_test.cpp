@@ -1,6 +1,7 @@
 // What an engine gets wrong is refused in words that name it, and the rest goes on.
 #include <gmock/gmock.h>
 
+#include <array>
 #include <functional>
 #include <limits>
 
@@ -252,6 +253,16 @@ TEST_F(SdkRefusal, MoreObjectsThanTheBound) {
   OwnedFrame most = next_frame(small_camera());
   fill(most, SPLATBUS_MAX_OBJECTS);
   expect_published(most.frame);
+}
+
+TEST_F(SdkRefusal, OfFramesThatAreSubmittedTogetherAll) {
+  const OwnedFrame good = next_frame(small_camera());
+  OwnedFrame bad = next_frame(small_camera());
+  bad.frame.time_s = good.frame.time_s - 0.05;
+  const std::array together{good.frame, bad.frame};
+  EXPECT_EQ(splatbus_engine_submit_all(engine_.get(), together.data(), 2), SPLATBUS_ERROR_ARGUMENT);
+  EXPECT_THAT(splatbus_engine_last_error(engine_.get()), AllOf(HasSubstr("frame 12"), HasSubstr("runs backwards")));
+  expect_published(next_frame(small_camera()).frame);
 }
 
 TEST_F(SdkRefusal, WhatRunsBackwards) {

@@ -132,6 +132,7 @@ TEST_F(SdkTest, NullPointersAreArgumentErrors) {
   EXPECT_EQ(splatbus_engine_poll(engine.get(), 0, nullptr, nullptr, nullptr), SPLATBUS_ERROR_ARGUMENT);
   EXPECT_EQ(splatbus_engine_counter(engine.get(), nullptr, 1), SPLATBUS_ERROR_ARGUMENT);
   EXPECT_EQ(splatbus_engine_submit(nullptr, nullptr), SPLATBUS_ERROR_ARGUMENT);
+  EXPECT_EQ(splatbus_engine_submit_all(engine.get(), nullptr, 2), SPLATBUS_ERROR_ARGUMENT);
 }
 
 TEST_F(SdkTest, HeartbeatsCarryCounters) {
@@ -286,6 +287,56 @@ TEST_F(SdkTest, ReadersHaveRoomForManyFrames) {
     ASSERT_TRUE(color.has_value()) << "frame " << i << " was overwritten";
     EXPECT_EQ(color->as<std::uint8_t>()[0], i);
   }
+}
+
+/// More than a ring of one size has room for, and others between them; the reader keeps pace.
+TEST_F(SdkTest, FramesThatAreSubmittedTogetherArriveInTheirOrder) {
+  const auto context = connect("tester");
+  bus::Subscriber frames(context, {"engine/frame"});
+  ASSERT_TRUE(frames.wait_connected(patience));
+  const Engine engine = open();
+  const auto camera = [](std::size_t i) {
+    splatbus_camera made = small_camera(static_cast<std::uint32_t>(i));
+    if (i % 7 == 3) made.width = 8000;
+    return made;
+  };
+  for (const std::size_t i : {0U, 3U}) {  // from here on both sizes have rings
+    OwnedFrame first(camera(i));
+    ASSERT_EQ(splatbus_engine_submit(engine.get(), &first.frame), SPLATBUS_OK);
+    ASSERT_TRUE(frames.receive(patience).has_value());
+  }
+  std::vector<OwnedFrame> owned;
+  for (std::size_t i = 0; i < 200; ++i) {
+    owned.emplace_back(camera(i));
+    owned.back().frame.frame = 6 + i / 4;
+    std::ranges::fill(owned.back().color, static_cast<std::uint8_t>(i));
+  }
+  std::vector<splatbus_frame> together;
+  for (OwnedFrame& frame : owned) {
+    frame.refresh();
+    together.push_back(frame.frame);
+  }
+  std::jthread submits([&] {
+    EXPECT_EQ(splatbus_engine_submit_all(engine.get(), together.data(), together.size()), SPLATBUS_OK)
+        << splatbus_engine_last_error(engine.get());
+  });
+  std::int64_t captured_ns = 0;
+  for (std::size_t i = 0; i < together.size(); ++i) {
+    const auto message = frames.receive(patience);
+    ASSERT_TRUE(message.has_value());
+    const auto& frame = message->root<wire::EngineFrame>();
+    ASSERT_EQ(frame.camera()->id(), i);
+    EXPECT_EQ(frame.scene()->frame(), 6 + i / 4);
+    const std::int64_t capture_ns = message->header().capture_ns();
+    EXPECT_TRUE(i % 4 == 0 ? capture_ns > captured_ns : capture_ns == captured_ns) << "one moment is one frame's";
+    captured_ns = capture_ns;
+    const auto color = message->tensor("color", bus::ElementType::U8, {6, owned[i].frame.camera.width, 4});
+    ASSERT_TRUE(color.has_value()) << "frame " << i << " was overwritten";
+    EXPECT_EQ(color->as<std::uint8_t>()[0], i);
+    EXPECT_EQ(color->as<std::uint8_t>()[owned[i].color.size() - 1], i);
+  }
+  submits.join();
+  EXPECT_EQ(splatbus_engine_submit_all(engine.get(), nullptr, 0), SPLATBUS_OK);
 }
 
 TEST_F(SdkTest, TheEngineOutlivesTheBroker) {

@@ -115,7 +115,7 @@ TEST(Eye, LooksWhereTheViewerWillHaveTurned) {
   }
   const Viewer& viewer = viewers.all().begin()->second;
   const auto gaze = [&](float lead_s) {
-    const Camera eye = eye_cameras({.size = 64}, {.lead_s = lead_s}, viewer, nullptr, 0, 0).front();
+    const Camera eye = eye_camera({.size = 64}, {.lead_s = lead_s}, viewer, nullptr, 0);
     return eye.world_from_camera.rotation * glm::vec3(0, 0, 1);
   };
   EXPECT_LT(glm::distance(gaze(0), glm::vec3(1, 0, 0)), 1e-4F);
@@ -139,6 +139,67 @@ TEST_F(RigControlTest, ThoseThatLookAboutComeBeforeTheDome) {
   update(false);
   EXPECT_EQ(rig("v").cameras.size(), 16U);
   EXPECT_EQ(about(CameraRole::Input, eye, 1e-4F), 4);
+  EXPECT_EQ(rig("v").round.missing().size(), 12U);
+}
+
+/// A place of which a part is there is not one that others have robbed.
+TEST_F(RigControlTest, WhoHardlyMovesGetsTheDomeAfterThoseThatLookAbout) {
+  set("input_about", "2");
+  set("input_cameras", "9");
+  look("v", standing({0, 1.6F, 0}));
+  update();
+  EXPECT_EQ(rig("v").cameras.size(), 3U);
+  pass(kSecond / 10);
+  look("v", standing({0.01F, 1.6F, 0}));
+  update(false);
+  EXPECT_EQ(rig("v").cameras.size(), 9U);
+  EXPECT_EQ(rig("v").round.missing().size(), 6U);
+}
+
+/// Or he would never get one.
+TEST_F(RigControlTest, WhoPassesAPlaceBeforeItsDomeGetsTheNextOnesAtOnce) {
+  set("input_about", "3");
+  set("input_cameras", "16");
+  look("v", standing({0, 1.6F, 0}));
+  update();
+  pass(kSecond);
+  look("v", standing({1.5F, 1.6F, 0}));
+  update();
+  EXPECT_EQ(rig("v").cameras.size(), 16U);
+  pass(kSecond);
+  look("v", standing({3, 1.6F, 0}));
+  update();
+  EXPECT_EQ(rig("v").cameras.size(), 4U) << "of the one after it those that look about come first";
+}
+
+TEST_F(RigControlTest, OthersTakeThoseThatLookAboutFirst) {
+  set("input_about", "5");
+  set("input_cameras", "24");
+  for (int k = 0; k < 3; ++k) {
+    look("a", standing({0, 1.6F, 0}));
+    update();
+  }
+  EXPECT_EQ(rig("a").about.size(), 5U);
+  for (int k = 0; k < 3; ++k) {
+    look("a", standing({0, 1.6F, 0}));
+    look("b", standing({100, 1.6F, 0}));
+    update();
+  }
+  ASSERT_LT(rig("a").cameras.size(), 20U);
+  EXPECT_EQ(rig("a").cameras.front().id, *rig("a").eye);
+  for (const Camera& camera : rig("a").cameras) EXPECT_FALSE(rig("a").about.contains(camera.id)) << camera.id;
+}
+
+TEST_F(RigControlTest, ABlindOneThatLooksAboutIsGivenUp) {
+  set("input_about", "3");
+  set("input_cameras", "16");
+  look("v", standing({0, 1.6F, 0}));
+  update(false);
+  const std::uint32_t blind = *rig("v").about.begin();
+  control_.inputs().blind(rig("v"), blind, now_ns_, control_.cameras());
+  EXPECT_EQ(rig("v").round.missing().size(), 3U);
+  answer_all();
+  update(false);
   EXPECT_EQ(rig("v").round.missing().size(), 12U);
 }
 

@@ -163,10 +163,7 @@ TEST(EyeCamera, SeesWhatTheViewerWillSee) {
   viewer.camera.fx = viewer.camera.fy = 70;
   viewer.velocity_m_s = {0, 0, -1.4F};
   const FreeSpace free = seen_from(scene, viewer.position());
-  const auto eyes = [&](const DomeOptions& pictures, std::size_t about) {
-    return eye_cameras(pictures, {.lead_s = 0.5F}, viewer, &free, kClearance_m, about);
-  };
-  const Camera eye = eyes({.size = {64, 48}}, 0).front();
+  const Camera eye = eye_camera({.size = {64, 48}}, {.lead_s = 0.5F}, viewer, &free, kClearance_m);
   const glm::vec3 will_be = viewer.position() + 0.5F * viewer.velocity_m_s;
   EXPECT_LT(glm::distance(eye.world_from_camera.translation, will_be), 1e-4F);
   EXPECT_EQ(eye.width, 64U);
@@ -179,25 +176,43 @@ TEST(EyeCamera, SeesWhatTheViewerWillSee) {
   }
   // Through no wall.
   viewer.velocity_m_s = {9, 0, 0};
-  EXPECT_TRUE(free.sees(eyes({.size = 64}, 0).front().world_from_camera.translation));
+  EXPECT_TRUE(
+      free.sees(eye_camera({.size = 64}, {.lead_s = 0.5F}, viewer, &free, kClearance_m).world_from_camera.translation));
 }
 
 /// Wherever a viewer looks level, some camera shows it.
 TEST(EyeCamera, OthersLookAllAbout) {
-  const Viewer viewer = at({0, 1.5F, 0}, {0.3F, 1.2F, -2});
-  for (const std::size_t about : {2U, 3U, 5U}) {
-    const std::vector<Camera> eyes = eye_cameras({.size = 64}, {}, viewer, nullptr, kClearance_m, about);
-    ASSERT_EQ(eyes.size(), about + 1);
+  for (const auto& [about, target_m] : {std::pair(3U, 1.2F), {5U, 1.2F}, {3U, -2.0F}, {5U, -2.0F}}) {
+    const Viewer viewer = at({0, 1.5F, 0}, {0.3F, target_m, -2});
+    const Camera eye = eye_camera({.size = 64}, {}, viewer, nullptr, kClearance_m);
+    std::vector<Camera> eyes = cameras_about(eye, nullptr, about);
+    ASSERT_EQ(eyes.size(), about);
+    eyes.push_back(eye);
     for (int degrees = 0; degrees < 360; degrees += 5) {
       const float angle = glm::radians(static_cast<float>(degrees));
       const glm::vec3 ray(std::cos(angle), 0, std::sin(angle));
-      EXPECT_TRUE(std::ranges::any_of(eyes, [&](const Camera& camera) {
-        const glm::vec3 seen = glm::inverse(camera.world_from_camera.rotation) * ray;
-        return seen.z > 0 && std::abs(camera.fx * seen.x / seen.z) < 32 && std::abs(camera.fy * seen.y / seen.z) < 32;
-      })) << degrees
-          << " of " << about;
+      EXPECT_TRUE(std::ranges::any_of(eyes,
+                                      [&](const Camera& camera) {
+                                        const glm::vec3 seen = glm::inverse(camera.world_from_camera.rotation) * ray;
+                                        return seen.z > 0 && std::abs(camera.fx * seen.x / seen.z) < 32 &&
+                                               std::abs(camera.fy * seen.y / seen.z) < 32;
+                                      }))
+          << degrees << " of " << about;
     }
   }
+}
+
+/// In the open they would show the sky, which the dome can do without.
+TEST(EyeCamera, OthersLookWhereThereIsSomething) {
+  AnalyticScene scene;
+  scene.boxes = room({0, 0, 0}, true);
+  const Viewer viewer = at({0, 1.5F, 0}, {0, 1.2F, -2});
+  const FreeSpace inside = seen_from(scene, viewer.position());
+  const Camera eye = eye_camera({.size = 64}, {}, viewer, &inside, kClearance_m);
+  EXPECT_EQ(cameras_about(eye, &inside, 5).size(), 5U);
+  scene.boxes.clear();
+  const FreeSpace open = seen_from(scene, viewer.position());
+  EXPECT_TRUE(cameras_about(eye, &open, 5).empty());
 }
 
 TEST(DomePlace, LeadsButNotThroughWalls) {
