@@ -237,7 +237,7 @@ void CaptureBridge::handle_grid_state(const wire::GridState& state, const bus::M
   // An expander that has seen no round has missed ours: it started later, or again.
   const std::int64_t now = bus::now_ns();
   for (auto& [viewer, rig] : rigs_.inputs().all()) {
-    if (!rig.round.empty() && now - rig.submitted_ns > kExpanderPatienceNs) submit_round(rig);
+    if (!rig.round.empty() && now - rig.submitted_ns > kExpanderPatienceNs) submit_round(rig, true);
   }
 }
 
@@ -258,7 +258,7 @@ void CaptureBridge::update_rounds(std::int64_t now_ns) {
   const std::int64_t deadline = nanoseconds(options_->input_deadline_s);
   for (auto& [viewer, rig] : rigs_.inputs().all()) {
     const InputRound& round = rig.round;
-    if (round.ready(now_ns, deadline)) submit_round(rig);
+    if (round.ready(now_ns, deadline)) submit_round(rig, false);
     rig.patience_ns = std::max(rig.patience_ns, deadline);
     if (round.missing().empty() || now_ns - rig.asked_ns < rig.patience_ns) continue;
     static bus::LogLimiter limiter;
@@ -295,12 +295,19 @@ void CaptureBridge::refresh(Refresh& of, CameraRole role, double rate_hz, std::i
   if (const auto stalest = of.pictures.take(forwarder_.scene_version(), now_ns)) rigs_.reissue(role, *stalest);
 }
 
-void CaptureBridge::submit_round(InputRig& rig) {
+void CaptureBridge::submit_round(InputRig& rig, bool all) {
   rig.submitted_ns = bus::now_ns();
-  InputJob job{.views = rig.round.take(), .rig_generation = rig.round.rig_generation(), .options = options_->sampling};
-  // The cameras that are asked for later bring their own: a part of a dome is not to be sampled more finely, but for
-  // what the viewer is about to see.
-  const double share = std::max(rig.share_asked(), options_->glance_share);
+  InputJob job{.rig_generation = rig.round.rig_generation(), .options = options_->sampling};
+  double share = 1;
+  if (!all && rig.round.refreshes()) {
+    job.views = rig.round.take_fresh();
+    share = static_cast<double>(job.views.size()) / static_cast<double>(rig.round.cameras());
+  } else {
+    job.views = rig.round.take();
+    // The cameras that are asked for later bring their own: a part of a dome is not to be sampled more finely, but for
+    // what the viewer is about to see.
+    share = std::max(rig.share_asked(), options_->glance_share);
+  }
   job.options.budget = static_cast<std::size_t>(static_cast<double>(job.options.budget) * share);
   worker_.submit(std::move(job));
 }

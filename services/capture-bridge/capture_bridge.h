@@ -71,7 +71,8 @@ class CaptureBridge {
   void update_light_maps(std::int64_t now_ns);
   void refresh_pictures(std::int64_t now_ns);
   void update_probes(std::int64_t now_ns);
-  void submit_round(InputRig& rig);
+  /// Of its newest frames; with `all` of all, whatever has been handed on before.
+  void submit_round(InputRig& rig, bool all);
   void submit_glance(InputRig& rig);
   void publish_cameras();
 

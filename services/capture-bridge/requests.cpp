@@ -7,6 +7,8 @@ namespace splatbus::capture_bridge {
 
 namespace {
 
+constexpr std::int64_t kRefreshedNs = 100'000'000;
+
 bool same(const Camera& a, const Camera& b) {
   return a.width == b.width && a.height == b.height && a.fx == b.fx && a.fy == b.fy && a.cx == b.cx && a.cy == b.cy &&
          a.near_m == b.near_m && a.far_m == b.far_m && a.world_from_camera.rotation == b.world_from_camera.rotation &&
@@ -138,7 +140,7 @@ void InputRound::begin(std::span<const CameraRequest> requests, std::uint64_t ri
     slots_.push_back(std::move(slot));
   }
   first_fresh_ns_.reset();
-  handed_on_incomplete_ = false;
+  handed_on_incomplete_ = handed_on_whole_ = false;
   rig_generation_ = rig_generation;
 }
 
@@ -188,14 +190,25 @@ bool InputRound::ready(std::int64_t now_ns, std::int64_t deadline_ns) const {
   const bool full = std::all_of(slots_.begin(), slots_.end(), [](const Slot& slot) { return slot.fresh; });
   // Stragglers complete a rig whose other frames were handed on already.
   const bool completed = handed_on_incomplete_ && missing().empty();
-  return full || completed || now_ns - *first_fresh_ns_ >= deadline_ns;
+  const std::int64_t patience_ns = handed_on_whole_ ? std::min(deadline_ns, kRefreshedNs) : deadline_ns;
+  return full || completed || now_ns - *first_fresh_ns_ >= patience_ns;
 }
 
 std::vector<InputViewPointer> InputRound::take() {
   for (Slot& slot : slots_) slot.fresh = false;
   first_fresh_ns_.reset();
   handed_on_incomplete_ = !missing().empty();
+  handed_on_whole_ = !handed_on_incomplete_;
   return views();
+}
+
+std::vector<InputViewPointer> InputRound::take_fresh() {
+  std::vector<InputViewPointer> fresh;
+  for (const Slot& slot : slots_) {
+    if (slot.fresh) fresh.push_back(slot.view);
+  }
+  static_cast<void>(take());
+  return fresh;
 }
 
 bool InputRound::shows(std::uint32_t camera_id) const {

@@ -88,7 +88,9 @@ using InputViewPointer = std::shared_ptr<const InputView>;
 
 /// Collects the frames of one input rig into rounds. A round is ready when every camera has delivered a frame since the
 /// round before, or, so that a lost frame never blocks it, some time after its first frame; frames that come later make
-/// another round together with those that were there. Times are CLOCK_MONOTONIC nanoseconds.
+/// another round together with those that were there. Once every camera's frame has been handed on, those that are rendered
+/// again because the scene changed are rounds of their own, and do not wait as long: what has appeared is in them. Times are
+/// CLOCK_MONOTONIC nanoseconds.
 class InputRound {
  public:
   /// A rig in a new place, or one that has grown: forgets all frames but those that still answer. A rig generation is
@@ -109,8 +111,12 @@ class InputRound {
 
   /// True when there is something to hand on: a full round, or a partial one whose first frame is `deadline_ns` old.
   [[nodiscard]] bool ready(std::int64_t now_ns, std::int64_t deadline_ns) const;
+  /// Every camera's frame has been handed on.
+  [[nodiscard]] bool refreshes() const { return handed_on_whole_; }
   /// All frames of the rig so far, by camera id; the next round starts.
   [[nodiscard]] std::vector<InputViewPointer> take();
+  /// Those that have come since the last round.
+  [[nodiscard]] std::vector<InputViewPointer> take_fresh();
 
   [[nodiscard]] bool shows(std::uint32_t camera_id) const;  ///< a frame of it is there
   /// Cameras without any frame.
@@ -118,6 +124,7 @@ class InputRound {
   [[nodiscard]] bool empty() const;  ///< no camera has delivered yet
   [[nodiscard]] std::uint64_t rig_generation() const { return rig_generation_; }
   [[nodiscard]] std::vector<InputViewPointer> views() const;
+  [[nodiscard]] std::size_t cameras() const { return slots_.size(); }
 
  private:
   struct Slot {
@@ -131,6 +138,7 @@ class InputRound {
   std::vector<Slot> slots_;
   std::optional<std::int64_t> first_fresh_ns_;
   bool handed_on_incomplete_ = false;
+  bool handed_on_whole_ = false;
   std::uint64_t rig_generation_ = 0;
 };
 

@@ -4,7 +4,6 @@ const kSlowestMs = 20; // 50 frames a second
 const kQuickMs = 15;
 const kLeast = 0.35;
 const kJudgedFrames = 12;
-const kPauseMs = 250;
 
 /** How fast pictures follow one another while something moves, and how fine they can be drawn for that. */
 export class Pace {
@@ -26,9 +25,9 @@ export class Pace {
   /** A picture was drawn at `nowMs`. */
   drawn(nowMs: number): void {
     const interval = nowMs - this.#last;
+    const isFirst = this.#last === 0;
     this.#last = nowMs;
-    if (interval <= 0) return;
-    if (interval > kPauseMs && this.#intervals.length === 0 && this.frameMs === 0) return; // the first after a rest
+    if (isFirst || interval <= 0) return;
     this.frameMs = this.frameMs === 0 ? interval : this.frameMs + 0.1 * (interval - this.frameMs);
     this.#intervals.push(interval);
     if (this.#intervals.length < kJudgedFrames) return;

@@ -235,9 +235,10 @@ export class Viewer {
       this.figures = message.figures;
       this.#rate.add(message.figures.atMs, message.figures.bytes);
       const unframed = !this.#framed && !this.#steered;
-      if (message.figures.gaussians > 0 && (unframed || (this.#bench.asked && this.stage.standing))) {
+      const flies = this.#bench.asked && this.stage.standing && message.figures.missing === 0;
+      if (message.figures.gaussians > 0 && (unframed || flies)) {
         this.#framed = true;
-        this.#bench.prepare();
+        if (flies) this.#bench.prepare();
         this.frameAll();
       }
     } else if (message.kind === 'bounds') {
@@ -274,7 +275,7 @@ export class Viewer {
       width,
       height,
       gaussians: this.figures?.gaussians ?? 0,
-      resolution: this.#pace.resolution,
+      resolution: this.#drawn.resolution,
       sortMs: this.stage.sortMs ?? 0,
       browser: navigator.userAgent,
     };

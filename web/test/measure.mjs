@@ -11,6 +11,38 @@ const { SPLATBUS_WEB: site, SPLATBUS_WEB_TESTS: pages, SPLATBUS_BIN: bin } = pro
 const say = (what, value) => console.log(`${what}: ${value}`);
 const middle = (values) => values.sort((a, b) => a - b)[values.length >> 1];
 
+/** When a page has what the service that was killed gives, and all of the model; `then` are its figures from before. */
+const kBack = {
+  gateway: (then) => window.wasAway && window.splatbus.connection === 'open' && window.splatbus.figures.missing === 0 && window.splatbus.figures.sequence > then.sequence,
+  streamer: (then) => window.splatbus.figures.epoch !== then.epoch && window.splatbus.figures.missing === 0,
+  engine: (then) => window.splatbus.figures.sceneVersion > then.sceneVersion && window.splatbus.figures.missing === 0,
+  trainer: () => window.splatbus.figures.missing === 0,
+};
+
+/** How long that takes, and how much of the picture is there meanwhile: a PNG of nothing has hardly any bytes. */
+async function sayOutage(pipeline, source, isBack) {
+  const page = await browser.newPage({ viewport: { width: 256, height: 256 } });
+  page.setDefaultTimeout(120_000);
+  await page.goto(pipeline.url);
+  await page.waitForFunction(() => window.splatbus?.firstPictureMs > 0 && window.splatbus.figures.missing === 0);
+  await page.evaluate(() => {
+    setInterval(() => (window.wasAway ||= window.splatbus.connection !== 'open'), 10);
+  });
+  const whole = (await page.screenshot()).length;
+  const before = await page.evaluate(() => window.splatbus.figures);
+  const lives = await pipeline.kill(source);
+  const start = performance.now();
+  let another = false;
+  void lives().then(() => (another = true));
+  let least = whole;
+  do {
+    least = Math.min(least, (await page.screenshot()).length);
+  } while (!another || !(await page.evaluate(isBack, before)));
+  const seconds = (performance.now() - start) / 1000;
+  say(`${source} killed`, `whole again after ${seconds.toFixed(1)} s, another one living by then; the least picture meanwhile has ${((100 * least) / whole).toFixed(0)} % of the bytes of the one before`);
+  await page.close();
+}
+
 const browser = await launch();
 const folder = mkdtempSync(join(tmpdir(), 'splatbus-measure-'));
 execFileSync(join(bin, 'write_logs'), [folder, '1000000']);
@@ -48,6 +80,7 @@ try {
     const { gaussians } = (await pipeline.status()).trainer;
     const [first, ...others] = firsts;
     say(`first picture of a living model of ${gaussians}, while it is trained on the same cores`, `${first.toFixed(0)} ms of the first page, for which the streamer takes the model; then ${others.map((ms) => ms.toFixed(0)).join(', ')}, ${middle(others).toFixed(0)} ms in the middle`);
+    for (const [source, isBack] of Object.entries(kBack)) await sayOutage(pipeline, source, isBack);
   } finally {
     await pipeline.close();
   }

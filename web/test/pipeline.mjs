@@ -61,15 +61,19 @@ services:
   return {
     url,
     status,
-    /** Kills a service, and waits until another one lives. */
-    async restarted(source) {
+    /** Kills a service; what it returns waits until another one lives. */
+    async kill(source) {
       const service = async () => (await status()).services.find((one) => one.source === source);
       const { pid } = await service();
       process.kill(pid, 'SIGKILL');
-      await until(async () => {
-        const now = await service();
-        return now && now.pid !== pid && now.alive;
-      });
+      return () =>
+        until(async () => {
+          const now = await service();
+          return now && now.pid !== pid && now.alive;
+        });
+    },
+    async restarted(source) {
+      await (await this.kill(source))();
     },
     async close() {
       launched.kill('SIGINT');

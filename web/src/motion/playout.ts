@@ -1,4 +1,4 @@
-import { kTransformFloats } from '../math';
+import { clamp, kTransformFloats } from '../math';
 import type { SceneTime } from '../records';
 
 /** Scenes that are kept, for the ones between which it is now, and for how late they come. */
@@ -10,6 +10,9 @@ const kBeyondMs = 100;
 const kGapMs = 250;
 /** The delay shrinks by this part of what is too much in every scene; it grows at once. */
 const kShrink = 0.02;
+/** How much slower or faster than the clock the time that is shown goes, when the delay has changed. */
+const kSlower = 0.5;
+const kFaster = 0.02;
 
 interface Kept {
   readonly captureMs: number;
@@ -27,6 +30,9 @@ export class Playout {
   /** The engine's clock less the page's, by scenes that came without delay. */
   #offsets: number[] = [];
   #delayMs = 0;
+  #nowMs = 0;
+  /** By the engine's clock; null: nothing has been shown yet. */
+  #shown: number | null = null;
 
   add(transforms: Float32Array, { captureMs, arrivedMs }: SceneTime): void {
     if (captureMs <= 0) {
@@ -37,6 +43,7 @@ export class Playout {
     if (last && captureMs < last.captureMs) {
       this.#kept = []; // another engine, of another clock
       this.#offsets = [];
+      this.#shown = null;
       last = undefined;
     }
     if (last && captureMs === last.captureMs) return;
@@ -51,9 +58,18 @@ export class Playout {
     if (this.#kept.length > kKept) this.#kept.shift();
   }
 
-  /** By the engine's clock: what is to be seen at `nowMs` of the page's. */
+  /** By the engine's clock: what is seen at `nowMs` of the page's, which goes forward. It never goes back, whatever the delay does. */
   shownMs(nowMs: number): number {
-    return nowMs + this.#offset() - this.#delayMs;
+    const wanted = Math.min(nowMs + this.#offset() - this.#delayMs, this.#end());
+    const step = Math.max(nowMs - this.#nowMs, 0);
+    this.#nowMs = nowMs;
+    if (this.#shown === null || Math.abs(wanted - this.#shown) > kGapMs) {
+      this.#shown = wanted;
+    } else {
+      const next = this.#shown + clamp(wanted - this.#shown, (1 - kSlower) * step, (1 + kFaster) * step);
+      this.#shown = Math.max(this.#shown, Math.min(next, this.#end()));
+    }
+    return this.#shown;
   }
 
   /** world_from_object of every object; null where nothing is known, and the newest scene is to be shown. */
@@ -61,7 +77,7 @@ export class Playout {
     const kept = this.#kept;
     const last = kept.at(-1);
     if (!last) return null;
-    const shown = Math.min(this.shownMs(nowMs), last.captureMs + kBeyondMs);
+    const shown = Math.min(this.shownMs(nowMs), this.#end());
     let next = kept.findIndex(({ captureMs }) => captureMs >= shown);
     if (next === 0) return kept[0].transforms;
     if (next < 0) next = kept.length - 1; // beyond the last: as between the two before
@@ -73,11 +89,17 @@ export class Playout {
   /** Whether at() may give something else soon though no scene arrives. */
   movingAt(nowMs: number): boolean {
     const last = this.#kept.at(-1);
-    return last !== undefined && last.moved && this.shownMs(nowMs) < last.captureMs + kBeyondMs;
+    return last !== undefined && last.moved && this.shownMs(nowMs) < this.#end();
   }
 
   #offset(): number {
     return Math.max(...this.#offsets);
+  }
+
+  /** A motion is known from two scenes on. */
+  #end(): number {
+    const last = this.#kept.at(-1);
+    return last ? last.captureMs + (this.#kept.length > 1 ? kBeyondMs : 0) : Infinity;
   }
 }
 

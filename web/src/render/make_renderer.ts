@@ -4,8 +4,11 @@ import { WebGpuRenderer } from './webgpu/webgpu_renderer';
 
 export type Api = 'webgl2' | 'webgpu';
 
+let webGpuFailed = false;
+
 /** Whether a canvas can be drawn by a WebGPU device that is no software. */
 async function hasFastWebGpu(): Promise<boolean> {
+  if (webGpuFailed) return false;
   const adapter = await navigator.gpu?.requestAdapter({ powerPreference: 'high-performance' }).catch(() => null);
   return adapter !== null && adapter !== undefined && !adapter.info.isFallbackAdapter;
 }
@@ -15,6 +18,15 @@ async function hasFastWebGpu(): Promise<boolean> {
  * Throws where the browser lacks it.
  */
 export async function makeRenderer(canvas: HTMLCanvasElement, wanted: Api | null): Promise<Renderer> {
-  if (wanted === 'webgpu' || (wanted === null && (await hasFastWebGpu()))) return WebGpuRenderer.make(canvas);
+  if (wanted === 'webgpu') return WebGpuRenderer.make(canvas);
+  if (wanted === null && (await hasFastWebGpu())) {
+    try {
+      return await WebGpuRenderer.make(canvas);
+    } catch (error) {
+      // A canvas that WebGPU has had gives no other context: then the next start, with a canvas of its own, draws.
+      console.warn(error);
+      webGpuFailed = true;
+    }
+  }
   return new WebGl2Renderer(canvas);
 }

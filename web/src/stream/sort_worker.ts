@@ -26,8 +26,17 @@ function apply(sorter: Sorter, batch: SceneBatch): void {
   sortSoon();
 }
 
-turn.port1.onmessage = async () => {
-  const sorter = await loaded;
+/** What goes wrong once the sorter is there is the worker's own end, which the page hears of; in a promise it would not. */
+function withSorter(use: (sorter: Sorter) => void): void {
+  const fail = (error: unknown): void => {
+    setTimeout(() => {
+      throw error;
+    });
+  };
+  void loaded.then(use).catch(fail);
+}
+
+function sort(sorter: Sorter): void {
   due = false;
   if (!view) return;
   const start = performance.now();
@@ -35,7 +44,9 @@ turn.port1.onmessage = async () => {
   const sorted = { batches: waiting, order, milliseconds: performance.now() - start };
   waiting = [];
   scope.postMessage(sorted, [order.buffer, ...sorted.batches.flatMap(transfersOf)]);
-};
+}
+
+turn.port1.onmessage = () => withSorter(sort);
 
 scope.onmessage = ({ data }) => {
   if (data.kind === 'view') {
@@ -43,5 +54,5 @@ scope.onmessage = ({ data }) => {
     sortSoon();
     return;
   }
-  data.port.onmessage = async (event: MessageEvent<SceneBatch>) => apply(await loaded, event.data);
+  data.port.onmessage = (event: MessageEvent<SceneBatch>) => withSorter((sorter) => apply(sorter, event.data));
 };

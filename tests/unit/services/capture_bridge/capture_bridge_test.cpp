@@ -147,6 +147,21 @@ TEST_F(CaptureBridgeTest, NothingStarvesWhileViewerSunAndObjectsMove) {
             references(CameraRole::Reference).front()->scene()->version() + 100);
 }
 
+TEST_F(CaptureBridgeTest, WhatIsRenderedAgainIsSampledByItself) {
+  set("input_refresh_hz", "1000");
+  settle();
+  const std::size_t whole = last_input().cameras()->size();
+  ASSERT_GT(whole, 1U);
+  received_.clear();
+  const std::uint32_t shown = 2;
+  engine_.lose = [](const Camera& camera) { return camera.role == CameraRole::Input && camera.id != shown; };
+  engine_.objects[AnalyticScene::kBall] = Rigid{.translation = {0.1F, 0, 0}};
+  ask_probe(1, look_at({0, 2, 2}, {0, 0, 0}, 24, 20, 1));  // by whose picture the bridge hears of it
+  ASSERT_TRUE(until([&] { return !received_["capture/input"].empty(); }));
+  ASSERT_EQ(last_input().cameras()->size(), 1U);
+  EXPECT_EQ(last_input().cameras()->Get(0)->id(), shown);
+}
+
 TEST_F(CaptureBridgeTest, AViewerThatMovesTakesTheInputRigAlong) {
   settle();
   const std::uint64_t generation = last_input().rig_generation();

@@ -98,6 +98,29 @@ TEST_F(InputRoundTest, ALostFrameDelaysItAndComesAfter) {
   EXPECT_EQ(round_.take().size(), 3U);
 }
 
+/// The scene has changed: what has appeared is in the first of them.
+TEST_F(InputRoundTest, FramesThatAreRenderedAgainAreARoundOfTheirOwnAndSoon) {
+  for (std::uint32_t i = 0; i < 3; ++i) add(i, 0);
+  EXPECT_FALSE(round_.refreshes());
+  EXPECT_EQ(round_.take().size(), 3U);
+  EXPECT_TRUE(round_.refreshes());
+  add(1, 10 * kSecond);
+  EXPECT_FALSE(round_.ready(10 * kSecond, kSecond));
+  EXPECT_TRUE(round_.ready(10 * kSecond + kSecond / 4, kSecond));
+  EXPECT_EQ(round_.take_fresh(), std::vector{round_.views()[1]});
+  EXPECT_FALSE(round_.ready(100 * kSecond, kSecond));
+  EXPECT_EQ(round_.take().size(), 3U) << "for who missed them";
+}
+
+TEST_F(InputRoundTest, ARigThatIsNotWholeWaits) {
+  add(0, 0);
+  add(1, 0);
+  EXPECT_EQ(round_.take().size(), 2U);
+  EXPECT_FALSE(round_.refreshes());
+  add(0, 10 * kSecond);
+  EXPECT_FALSE(round_.ready(10 * kSecond + kSecond / 2, kSecond));
+}
+
 TEST_F(InputRoundTest, RefusesFramesOfAnotherRig) {
   EXPECT_FALSE(round_.awaits(0, 999));
   EXPECT_TRUE(round_.awaits(0, set_.of_role(CameraRole::Input)[0].request_id));
