@@ -45,7 +45,7 @@ struct DynamicsResults {
 
 inline constexpr std::size_t kDynamicsCameras = 4;  ///< held out, half-way between references
 
-/// Runs the services for so long, compares held-out cameras twice a second. `still`: where it is given, maps of the
+/// Runs the services for so long, compares held-out cameras once a second. `still`: where it is given, maps of the
 /// still scene by camera, for the same pixels' SSIM. Throws std::runtime_error.
 [[nodiscard]] DynamicsResults run_dynamics(const DynamicsRunOptions& options, const StopSignals& signals,
                                            const MapsOfCameras* still,

@@ -1,9 +1,12 @@
 #include "capture-bridge/forwarder.h"
 
 #include <fmt/format.h>
+#include <spdlog/spdlog.h>
 
 #include <algorithm>
 
+#include "bus/frames.h"
+#include "bus/log_sink.h"
 #include "bus/memory.h"
 #include "bus/trace.h"
 #include "wire/capture_generated.h"
@@ -146,7 +149,14 @@ bool Forwarder::scene(const wire::EngineFrame& frame, bool with_far_field) {
   auto light_now = light_bytes(*scene.light());
   const bool unchanged = !restarted && newest_frame_ && objects_now == said_objects_ && light_now == said_light_ &&
                          with_far_field == said_far_field_;
-  if (!restarted && newest_frame_ && scene.frame() < *newest_frame_) return unchanged;
+  if (!restarted && newest_frame_ && scene.frame() < *newest_frame_) {
+    static bus::LogLimiter limiter;
+    if (!unchanged && limiter.allow()) {
+      spdlog::warn("engine/frame from {}: frame {} runs backwards, the newest is {}",
+                   bus::printable(frame.header()->source()->string_view()), scene.frame(), *newest_frame_);
+    }
+    return unchanged;
+  }
   if (!unchanged) {
     SceneState now = from_wire(scene);  // may throw, and then nothing is said or kept
     if (with_far_field) now.objects.insert_or_assign(kFarFieldFrame, far_field());

@@ -88,9 +88,9 @@ using InputViewPointer = std::shared_ptr<const InputView>;
 
 /// Collects the frames of one input rig into rounds. A round is ready when every camera has delivered a frame since the
 /// round before, or, so that a lost frame never blocks it, some time after its first frame; frames that come later make
-/// another round together with those that were there. Once every camera's frame has been handed on, those that are rendered
-/// again because the scene changed are rounds of their own, and do not wait as long: what has appeared is in them. Times are
-/// CLOCK_MONOTONIC nanoseconds.
+/// another round together with those that were there. Once every camera's frame has been handed on, those that are
+/// rendered again because the scene changed are rounds of their own, and do not wait as long: what has appeared is in
+/// them. Times are CLOCK_MONOTONIC nanoseconds.
 class InputRound {
  public:
   /// A rig in a new place, or one that has grown: forgets all frames but those that still answer. A rig generation is

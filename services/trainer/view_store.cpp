@@ -119,19 +119,23 @@ void ViewStore::evict(const ViewKey& newest) {
       const bool older = oldest == views_.end() || it->second.updated < oldest->second.updated;
       if (it->first != newest && older) oldest = it;
     }
-    replace(oldest->second.view, nullptr);
-    replace(oldest->second.waiting, nullptr);
+    drop(oldest->second);
     views_.erase(oldest);
     ++cameras_version_;
   }
+}
+
+void ViewStore::drop(Entry& entry) {
+  if (entry.waiting && !entry.waits_again) ++unpaired_;
+  replace(entry.view, nullptr);
+  replace(entry.waiting, nullptr);
 }
 
 void ViewStore::retire(const ViewKey& key) {
   const std::scoped_lock lock(mutex_);
   const auto found = views_.find(key);
   if (found == views_.end()) return;
-  replace(found->second.view, nullptr);
-  replace(found->second.waiting, nullptr);
+  drop(found->second);
   views_.erase(found);
   ++cameras_version_;
 }

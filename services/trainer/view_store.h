@@ -69,6 +69,7 @@ class ViewStore {
   [[nodiscard]] Views succeed(Entry& entry, TrainingViewPtr view);
   [[nodiscard]] std::vector<Camera> reference_cameras() const;
   void evict(const ViewKey& newest);
+  void drop(Entry& entry);  ///< one that waits never trained for want of its visibility
 
   const std::size_t max_views_, max_bytes_;
   mutable std::mutex mutex_;

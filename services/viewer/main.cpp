@@ -55,7 +55,7 @@ void run_on_bus(splatbus::bus::ServiceContext& service) {
 }
 
 /// A fixed flight through OpenGL without a window, and a line of JSON: how fast it was.
-void bench(double seconds, std::size_t gaussians, const splatbus::viewer::Options& options) {
+void bench(double seconds, std::size_t gaussians, double changing, const splatbus::viewer::Options& options) {
   namespace gl = splatbus::viewer::gl;
   const splatbus::GlContext context;
   gl::Stage stage(options.draw);
@@ -63,12 +63,14 @@ void bench(double seconds, std::size_t gaussians, const splatbus::viewer::Option
   stage.add(*floor);
   splatbus::SceneState scene;
   scene.light.background = glm::vec3(0.1F, 0.2F, 0.4F);
-  const gl::FlightFigures f = gl::fly(stage, scene, *floor->bounds, options.path.width, options.path.height, seconds);
+  const gl::FlightFigures f =
+      gl::fly(stage, scene, *floor->bounds, options.path.width, options.path.height, seconds, {floor, changing});
   fmt::print(
       R"({{"gaussians": {}, "width": {}, "height": {}, "frames": {}, "seconds": {:.2f}, "frames_per_s": {:.1f}, )"
       R"("median_ms": {:.3f}, "p95_ms": {:.3f}, "p99_ms": {:.3f}, )",
       gaussians, options.path.width, options.path.height, f.frames, f.seconds, f.frames_per_s, f.median_ms, f.p95_ms,
       f.p99_ms);
+  fmt::print(R"("rows_changed_per_s": {:.0f}, )", static_cast<double>(f.rows_changed) / seconds);
   fmt::print(
       R"("draw": "{}", "by_quads": {}, "by_tiles": {}, "without_room": {}, "pairs": {}, "trial_quads_ms": {:.3f}, )"
       R"("trial_tiles_ms": {:.3f}, )",
@@ -105,6 +107,7 @@ int standalone_main(int argc, char** argv) {
   std::string log;
   double bench_s = 0;
   std::size_t bench_gaussians = 1'000'000;
+  double bench_changing = 0;
   auto* source = app.add_option_group("source", "What to show (exactly one)");
   source->add_option("--connect", endpoint,
                      "streamer's endpoint, such as tcp://host:7600, or gateway's address, such as wss://host:7680");
@@ -114,6 +117,9 @@ int standalone_main(int argc, char** argv) {
   source->require_option(1);
   app.add_option("--gaussians", bench_gaussians, "Gaussians of the flight of --bench")
       ->check(CLI::Range(std::size_t{1}, splatbus::stream::kMaxGaussians))
+      ->capture_default_str();
+  app.add_option("--changing", bench_changing, "Gaussians that change in each second of the flight of --bench")
+      ->check(CLI::Range(0.0, 1e8))
       ->capture_default_str();
   app.add_option("--name", name, "name that the streamer is told")->capture_default_str();
   app.add_option_function<std::string>(
@@ -152,7 +158,7 @@ int standalone_main(int argc, char** argv) {
     const splatbus::bus::StopSignals signals(stop);
     const splatbus::viewer::Options options = parameters.read<splatbus::viewer::Options>();
     if (bench_s > 0) {
-      bench(bench_s, bench_gaussians, options);
+      bench(bench_s, bench_gaussians, bench_changing, options);
       return 0;
     }
     if (!log.empty()) {

@@ -6,7 +6,7 @@ import { readFileSync } from 'node:fs';
 import { join } from 'node:path';
 import { instantiate } from '../../web/wasm/instantiate.mjs';
 
-const [modulePath, folder, mutants = '20000', seed = '1'] = process.argv.slice(2);
+const [modulePath, folder, mutants = '100000', seed = '1'] = process.argv.slice(2);
 const kRecordBytes = 32;
 const kMost = 1 << 20;
 const kMostMemory = 256 << 20;

@@ -51,6 +51,32 @@ Drawn since(const Drawn& before, const Drawn& now) {
           .pairs = now.pairs};
 }
 
+/// The rows that a stream would have changed since it was asked last.
+class ChangingRows {
+ public:
+  explicit ChangingRows(const FlightChanges& changes) : changes_(changes) {}
+
+  Batch since(double seconds) {
+    Batch batch;
+    if (!changes_.of) return batch;
+    const RowUpdate& all = changes_.of->update;
+    due_ = std::min(due_ + seconds * changes_.rows_per_s, static_cast<double>(all.rows.size()));
+    batch.object_ids = changes_.of->object_ids;
+    for (; due_ >= 1; --due_) {
+      batch.update.rows.push_back(all.rows[next_]);
+      batch.update.records.push_back(all.records[next_]);
+      batch.update.fades.push_back(all.fades[next_]);
+      next_ = (next_ + 1) % all.rows.size();
+    }
+    return batch;
+  }
+
+ private:
+  const FlightChanges& changes_;
+  double due_ = 0;
+  std::size_t next_ = 0;
+};
+
 class Target {
  public:
   Target(std::uint32_t width, std::uint32_t height)
@@ -96,7 +122,7 @@ SharedBatch wavy_floor(std::size_t gaussians) {
 }
 
 FlightFigures fly(Stage& stage, const SceneState& scene, const Bounds& bounds, std::uint32_t width,
-                  std::uint32_t height, double seconds) {
+                  std::uint32_t height, double seconds, const FlightChanges& changes) {
   using Clock = std::chrono::steady_clock;
   const Target target(width, height);
   stage.set_timed(true);
@@ -105,12 +131,17 @@ FlightFigures fly(Stage& stage, const SceneState& scene, const Bounds& bounds, s
   std::vector<StepTimes> steps;
   std::optional<Drawn> before_it_counts;
   std::array<GLsync, 2> fences{};
+  ChangingRows changing(changes);
   const auto begin = Clock::now();
-  auto before = begin;
+  auto before = begin, changed = begin;
   for (std::size_t frame = 0;; ++frame) {
     const double flown = std::chrono::duration<double>(Clock::now() - begin).count() / seconds;
     if (flown >= 1) break;
     const Camera camera = camera_at(bounds, static_cast<float>(flown), width, height);
+    const auto asked = Clock::now();
+    const Batch rows = changing.since(std::chrono::duration<double>(asked - std::exchange(changed, asked)).count());
+    if (!rows.update.rows.empty()) stage.add(rows);
+    figures.rows_changed += rows.update.rows.size();
     stage.draw(camera, scene, kSettled_s, target.get());
     GLsync& fence = fences.at(frame % fences.size());
     if (fence) {

@@ -248,6 +248,8 @@ TEST(ViewStore, AViewWaitsForTheVisibilityOfAllItsLights) {
   store.put(std::make_shared<const TrainingView>(view));
   store.put(std::make_shared<const TrainingView>(view));
   EXPECT_EQ(store.unpaired(), 1U) << "it was replaced before it had its lights";
+  store.retire(key);
+  EXPECT_EQ(store.unpaired(), 2U) << "and the next one's camera has left";
 }
 
 TEST(ViewSampler, SkipsCamerasThatRetiredWithinAnEpoch) {

@@ -182,7 +182,9 @@ TEST_F(GlTiles, FlyAsTheyAreAsked) {
     Stage stage(draw);
     const SharedBatch floor = wavy_floor(500);
     stage.add(*floor);
-    const FlightFigures figures = fly(stage, scene_, *floor->bounds, 64, 36, 0.5);
+    const FlightFigures figures = fly(stage, scene_, *floor->bounds, 64, 36, 0.5, {floor, 2'000});
+    EXPECT_GT(figures.rows_changed, 0U);
+    EXPECT_LT(figures.rows_changed, 1'500U);
     const Drawn& drawn = figures.drawn;
     EXPECT_GT(draw == Draw::Tiles ? drawn.by_tiles : drawn.by_quads, 0U);
     EXPECT_EQ(draw == Draw::Tiles ? drawn.by_quads : drawn.by_tiles, 0U);
