@@ -1,4 +1,4 @@
-// node test/measure.mjs: what docs/benchmarks.md says of the page, on the machine at hand, with the software GPU of headless
+// node test/measure.mjs [outages]: what docs/benchmarks.md says of the page, on the machine at hand, with the software GPU of headless
 // Chromium. Takes the environment that ctest gives to the browser tests, and WRITE_LOGS, the program that writes a stream.
 import { execFileSync } from 'node:child_process';
 import { mkdtempSync, rmSync } from 'node:fs';
@@ -24,7 +24,7 @@ async function sayOutage(pipeline, source, isBack) {
   const page = await browser.newPage({ viewport: { width: 256, height: 256 } });
   page.setDefaultTimeout(120_000);
   await page.goto(pipeline.url);
-  await page.waitForFunction(() => window.splatbus?.firstPictureMs > 0 && window.splatbus.figures.missing === 0);
+  await page.waitForFunction(() => window.splatbus?.firstPictureMs > 0 && window.splatbus.figures?.missing === 0);
   await page.evaluate(() => {
     setInterval(() => (window.wasAway ||= window.splatbus.connection !== 'open'), 10);
   });
@@ -32,22 +32,24 @@ async function sayOutage(pipeline, source, isBack) {
   const before = await page.evaluate(() => window.splatbus.figures);
   const lives = await pipeline.kill(source);
   const start = performance.now();
-  let another = false;
-  void lives().then(() => (another = true));
+  const seconds = () => ((performance.now() - start) / 1000).toFixed(1);
+  let backAfter = null;
+  const back = lives().then(async () => {
+    const livesAfter = seconds();
+    await page.waitForFunction(isBack, before, { polling: 20 });
+    backAfter = `whole again after ${seconds()} s, ${livesAfter} of which until another one lived`;
+  });
   let least = whole;
-  do {
+  while (backAfter === null) {
     least = Math.min(least, (await page.screenshot()).length);
-  } while (!another || !(await page.evaluate(isBack, before)));
-  const seconds = (performance.now() - start) / 1000;
-  say(`${source} killed`, `whole again after ${seconds.toFixed(1)} s, another one living by then; the least picture meanwhile has ${((100 * least) / whole).toFixed(0)} % of the bytes of the one before`);
+    await new Promise((resolve) => setTimeout(resolve, 500)); // pictures are made on the same cores
+  }
+  await back;
+  say(`${source} killed`, `${backAfter}; the least picture meanwhile has ${((100 * least) / whole).toFixed(0)} % of the bytes of the one before`);
   await page.close();
 }
 
-const browser = await launch();
-const folder = mkdtempSync(join(tmpdir(), 'splatbus-measure-'));
-execFileSync(join(bin, 'write_logs'), [folder, '1000000']);
-const server = await serve([pages, site, folder]);
-try {
+async function sayPictures() {
   const page = await browser.newPage();
   page.setDefaultTimeout(600_000);
   await page.goto(`${server.url}/picture.html`);
@@ -62,24 +64,37 @@ try {
   say('memory of the stream worker', `${followerMb.toFixed(0)} MB for the model, ${mirrorMb.toFixed(0)} MB for the rows as they were handed on`);
   say('memory of the sort worker', `${sorterMb.toFixed(0)} MB`);
   await page.close();
+}
+
+async function sayFirstPictures(pipeline) {
+  const firsts = [];
+  for (let k = 0; k < 9; ++k) {
+    const opened = await browser.newPage({ viewport: { width: 256, height: 256 } });
+    opened.setDefaultTimeout(120_000);
+    await opened.goto(pipeline.url);
+    await opened.waitForFunction(() => window.splatbus?.firstPictureMs > 0);
+    firsts.push(await opened.evaluate(() => window.splatbus.firstPictureMs));
+    await opened.close();
+  }
+  const { gaussians } = (await pipeline.status()).trainer;
+  const [first, ...others] = firsts;
+  say(`first picture of a living model of ${gaussians}, while it is trained on the same cores`, `${first.toFixed(0)} ms of the first page, for which the streamer takes the model; then ${others.map((ms) => ms.toFixed(0)).join(', ')}, ${middle(others).toFixed(0)} ms in the middle`);
+}
+
+const browser = await launch();
+const folder = mkdtempSync(join(tmpdir(), 'splatbus-measure-'));
+const outagesAlone = process.argv[2] === 'outages';
+if (!outagesAlone) execFileSync(join(bin, 'write_logs'), [folder, '1000000']);
+const server = await serve([pages, site, folder]);
+try {
+  if (!outagesAlone) await sayPictures();
 
   const kCapture = { input_cameras: 24, input_size: 128, sample_budget: 100000, reference_cameras: 8, reference_size: 160, reference_rate_hz: 2 };
   const pipeline = await startPipeline(kCapture);
   try {
     // The trainer's: a streamer without viewers follows nothing.
     await until(async () => ((await pipeline.status()).trainer?.gaussians ?? 0) >= 100_000);
-    const firsts = [];
-    for (let k = 0; k < 9; ++k) {
-      const opened = await browser.newPage({ viewport: { width: 256, height: 256 } });
-      opened.setDefaultTimeout(120_000);
-      await opened.goto(pipeline.url);
-      await opened.waitForFunction(() => window.splatbus?.firstPictureMs > 0);
-      firsts.push(await opened.evaluate(() => window.splatbus.firstPictureMs));
-      await opened.close();
-    }
-    const { gaussians } = (await pipeline.status()).trainer;
-    const [first, ...others] = firsts;
-    say(`first picture of a living model of ${gaussians}, while it is trained on the same cores`, `${first.toFixed(0)} ms of the first page, for which the streamer takes the model; then ${others.map((ms) => ms.toFixed(0)).join(', ')}, ${middle(others).toFixed(0)} ms in the middle`);
+    if (!outagesAlone) await sayFirstPictures(pipeline);
     for (const [source, isBack] of Object.entries(kBack)) await sayOutage(pipeline, source, isBack);
   } finally {
     await pipeline.close();
