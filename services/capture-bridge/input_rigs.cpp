@@ -47,6 +47,7 @@ std::vector<Camera> InputRigs::update(const Options& options, bool anew, const V
   shares_.set_total(options.dome.cameras);
   std::vector<Wish> wished = wishes(options, viewers, ranges);
   std::vector<float> needs;
+  needs.reserve(wished.size());
   for (const Wish& wish : wished) needs.push_back(wish.need);
   const std::vector<int> divided = divide_cameras(options.dome.cameras, needs, kLeastCameras);
   CameraShares::Shares shares;

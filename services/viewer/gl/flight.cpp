@@ -38,6 +38,7 @@ StepTimes medians(const std::vector<StepTimes>& pictures) {
        {&StepTimes::project_ms, &StepTimes::sort_ms, &StepTimes::pairs_ms, &StepTimes::tile_sort_ms,
         &StepTimes::draw_ms, &StepTimes::resolve_ms, &StepTimes::all_ms}) {
     std::vector<double> values;
+    values.reserve(pictures.size());
     for (const StepTimes& picture : pictures) values.push_back(picture.*step);
     out.*step = quantile(std::move(values), 0.5);
   }
