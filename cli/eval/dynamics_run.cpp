@@ -18,8 +18,8 @@ namespace splatbus::cli {
 namespace {
 
 constexpr std::int64_t kSecond = 1'000'000'000;
-constexpr std::int64_t kRoundNs =
-    kSecond;  // an engine of 15 pictures a second would draw held-out ones half of the time
+// A software engine draws 15 pictures a second: twice as often, half of them would be held-out ones.
+constexpr std::int64_t kRoundNs = kSecond;
 constexpr std::int64_t kMotionRoundNs = kSecond / 10;
 constexpr double kMotionBefore_s = 8;  // the end of the run, and from there for so long:
 constexpr double kMotion_s = 2;

@@ -1,6 +1,7 @@
 // The input camera that stands where its viewer will be, between two places of its dome.
 #include <cmath>
 #include <glm/gtc/constants.hpp>
+#include <string>
 
 #include "capture-bridge/dome.h"
 #include "rig_fixture.h"
@@ -123,13 +124,24 @@ TEST(Eye, LooksWhereTheViewerWillHaveTurned) {
   EXPECT_LT(glm::distance(gaze(10), glm::vec3(0, 0, 1)), 0.02F) << "no farther than a quarter of a turn";
 }
 
+/// Viewers of whose cameras some look about.
+class LookingAboutTest : public RigControlTest {
+ protected:
+  void have(int about, int cameras) {
+    set("input_about", std::to_string(about).c_str());
+    set("input_cameras", std::to_string(cameras).c_str());
+  }
+  void stand(float x_m, bool answer = true) {
+    look("v", standing({x_m, 1.6F, 0}));
+    update(answer);
+  }
+};
+
 /// They are few, and the dome would take an engine as long as he takes to pass.
-TEST_F(RigControlTest, ThoseThatLookAboutComeBeforeTheDome) {
-  set("input_about", "3");
-  set("input_cameras", "16");
+TEST_F(LookingAboutTest, ThoseThatLookAboutComeBeforeTheDome) {
+  have(3, 16);
   const glm::vec3 eye(0, 1.6F, 0);
-  look("v", standing(eye));
-  update(false);
+  stand(eye.x, false);
   EXPECT_EQ(rig("v").cameras.size(), 4U);
   EXPECT_EQ(about(CameraRole::Input, eye, 1e-4F), 4) << "and no other is asked for yet";
   EXPECT_NEAR(rig("v").share_asked(), 4.0 / 16, 1e-6) << "they are a part of it";
@@ -143,38 +155,30 @@ TEST_F(RigControlTest, ThoseThatLookAboutComeBeforeTheDome) {
 }
 
 /// A place of which a part is there is not one that others have robbed.
-TEST_F(RigControlTest, WhoHardlyMovesGetsTheDomeAfterThoseThatLookAbout) {
-  set("input_about", "2");
-  set("input_cameras", "9");
-  look("v", standing({0, 1.6F, 0}));
-  update();
+TEST_F(LookingAboutTest, WhoHardlyMovesGetsTheDomeAfterThoseThatLookAbout) {
+  have(2, 9);
+  stand(0);
   EXPECT_EQ(rig("v").cameras.size(), 3U);
   pass(kSecond / 10);
-  look("v", standing({0.01F, 1.6F, 0}));
-  update(false);
+  stand(0.01F, false);
   EXPECT_EQ(rig("v").cameras.size(), 9U);
   EXPECT_EQ(rig("v").round.missing().size(), 6U);
 }
 
 /// Or he would never get one.
-TEST_F(RigControlTest, WhoPassesAPlaceBeforeItsDomeGetsTheNextOnesAtOnce) {
-  set("input_about", "3");
-  set("input_cameras", "16");
-  look("v", standing({0, 1.6F, 0}));
-  update();
+TEST_F(LookingAboutTest, WhoPassesAPlaceBeforeItsDomeGetsTheNextOnesAtOnce) {
+  have(3, 16);
+  stand(0);
   pass(kSecond);
-  look("v", standing({1.5F, 1.6F, 0}));
-  update();
+  stand(1.5F);
   EXPECT_EQ(rig("v").cameras.size(), 16U);
   pass(kSecond);
-  look("v", standing({3, 1.6F, 0}));
-  update();
+  stand(3);
   EXPECT_EQ(rig("v").cameras.size(), 4U) << "of the one after it those that look about come first";
 }
 
-TEST_F(RigControlTest, OthersTakeThoseThatLookAboutFirst) {
-  set("input_about", "5");
-  set("input_cameras", "24");
+TEST_F(LookingAboutTest, OthersTakeThoseThatLookAboutFirst) {
+  have(5, 24);
   for (int k = 0; k < 3; ++k) {
     look("a", standing({0, 1.6F, 0}));
     update();
@@ -190,11 +194,9 @@ TEST_F(RigControlTest, OthersTakeThoseThatLookAboutFirst) {
   for (const Camera& camera : rig("a").cameras) EXPECT_FALSE(rig("a").about.contains(camera.id)) << camera.id;
 }
 
-TEST_F(RigControlTest, ABlindOneThatLooksAboutIsGivenUp) {
-  set("input_about", "3");
-  set("input_cameras", "16");
-  look("v", standing({0, 1.6F, 0}));
-  update(false);
+TEST_F(LookingAboutTest, ABlindOneThatLooksAboutIsGivenUp) {
+  have(3, 16);
+  stand(0, false);
   const std::uint32_t blind = *rig("v").about.begin();
   control_.inputs().blind(rig("v"), blind, now_ns_, control_.cameras());
   EXPECT_EQ(rig("v").round.missing().size(), 3U);
@@ -203,11 +205,9 @@ TEST_F(RigControlTest, ABlindOneThatLooksAboutIsGivenUp) {
   EXPECT_EQ(rig("v").round.missing().size(), 12U);
 }
 
-TEST_F(RigControlTest, FewCamerasLookAboutAmongFew) {
-  set("input_about", "5");
-  set("input_cameras", "9");
-  look("v", standing({0, 1.6F, 0}));
-  update(false);
+TEST_F(LookingAboutTest, FewCamerasLookAboutAmongFew) {
+  have(5, 9);
+  stand(0, false);
   EXPECT_EQ(about(CameraRole::Input, {0, 1.6F, 0}, 1e-4F), 3);
 }
 
