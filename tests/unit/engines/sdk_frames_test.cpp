@@ -2,8 +2,6 @@
 #include <gmock/gmock.h>
 
 #include <algorithm>
-#include <set>
-#include <thread>
 
 #include "../bus/child_process.h"
 #include "sdk_fixture.h"

@@ -1,11 +1,9 @@
 #include <gmock/gmock.h>
 
+#include <algorithm>
 #include <array>
-#include <filesystem>
-#include <set>
 #include <thread>
 
-#include "../bus/child_process.h"
 #include "c_engine.h"
 #include "sdk_fixture.h"
 
