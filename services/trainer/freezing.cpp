@@ -21,8 +21,33 @@ constexpr float kNear_m = 2;  // nobody has to come nearer than twice that
 constexpr float kNearestDistance_m = 0.25F;
 /// A grey level: errors below it are not told apart.
 constexpr double kLeastError = 1.0 / 255;
+/// light_change() from which a page has to learn again what it had settled with: of a sun alone, six degrees.
+constexpr float kOtherLight = 0.1F;
 
 }  // namespace
+
+float light_change(const Light& before, const Light& now) {
+  float changed = glm::distance(before.sun_direction * glm::length(before.sun_irradiance),
+                                now.sun_direction * glm::length(now.sun_irradiance)) +
+                  glm::distance(before.ambient_sh[0], now.ambient_sh[0]);
+  float all = std::max(glm::length(before.sun_irradiance), glm::length(now.sun_irradiance)) +
+              std::max(glm::length(before.ambient_sh[0]), glm::length(now.ambient_sh[0]));
+  for (const LightSource& source : before.sources) {
+    const auto later = std::ranges::find(now.sources, source.id, &LightSource::id);
+    const LightSource& other = later != now.sources.end() ? *later : LightSource{.intensity = glm::vec3(0)};
+    const float most = std::max(glm::length(source.intensity), glm::length(other.intensity));
+    const float moved_m = glm::distance(source.position, other.position);
+    const float turned = glm::distance(source.direction, other.direction);
+    changed += std::max(std::min(moved_m + turned, 1.0F) * most, glm::distance(source.intensity, other.intensity));
+    all += most;
+  }
+  for (const LightSource& source : now.sources) {
+    if (std::ranges::find(before.sources, source.id, &LightSource::id) != before.sources.end()) continue;
+    changed += glm::length(source.intensity);
+    all += glm::length(source.intensity);
+  }
+  return all > 0 ? changed / all : 0;
+}
 
 float nearest_px_per_m(const TrainingView& view, std::uint32_t frame_id, const PageBounds& bounds) {
   ObjectTransform world_from_frame;
@@ -55,13 +80,24 @@ Freezer::Page& Freezer::at(const model::PageStore& store, std::uint32_t page) {
         .since_s = store.optimizer_s(),
         .seen_s = store.optimizer_s(),
         .px_per_m = same_place ? of.px_per_m : 0.0F,
-        .loss_at_freeze = frozen ? static_cast<double>(entry.loss) : 0.0};
+        .loss_at_freeze = frozen ? static_cast<double>(entry.loss) : 0.0,
+        .light_epoch = light_epoch_};
   return of;
+}
+
+void Freezer::compare_light(const SceneState& scene) {
+  if (!epoch_scene_) {
+    epoch_scene_ = scene;
+  } else if (scene.version > epoch_scene_->version && light_change(epoch_scene_->light, scene.light) > kOtherLight) {
+    epoch_scene_ = scene;
+    light_epoch_ += 1;
+  }
 }
 
 void Freezer::see(const model::PageStore& store, std::span<const ViewLook> looks) {
   if (first_seen_s_ < 0) first_seen_s_ = store.optimizer_s();
   for (const ViewLook& look : looks) {
+    compare_light(look.view->scene);
     for (const raster::PageLook& seen : look.pages) {
       model::PageEntry& entry = store.table().entry(seen.page);
       if (!is_present(entry.now.state)) continue;
@@ -108,15 +144,18 @@ Freezer::Change Freezer::decide(const model::PageStore& store, const FreezeOptio
       // One that had not settled goes on where views come near again. From the end of a street all of it is in sight.
       const bool teaches = page.loss_at_freeze > 0 || page.seen_from_near;
       const bool worse = teaches && loss > options.thaw_rise * page.loss_at_freeze + kLeastError;
-      if (nearer || worse) change.thaw.push_back(number);
+      const bool relit = teaches && page.light_epoch != light_epoch_;
+      if (nearer || worse || relit) change.thaw.push_back(number);
       page.loss = page.looks = 0;
       continue;
     }
     entry.loss = static_cast<float>(loss);
     if (!may_freeze || now_s - page.since_s < options.after_s) continue;
-    const bool settled = page.loss_before >= 0 && loss > (1 - options.least_gain) * page.loss_before;
+    const bool same_light = page.light_epoch == light_epoch_;
+    const bool settled = same_light && page.loss_before >= 0 && loss > (1 - options.least_gain) * page.loss_before;
     if (settled && movements[r] <= options.most_movement) change.freeze.push_back(number);
-    page.loss_before = loss;
+    page.loss_before = same_light ? loss : -1;  // of two lights' windows neither says what the other gained
+    page.light_epoch = light_epoch_;
     page.loss = page.looks = 0;
     page.since_s = now_s;
   }

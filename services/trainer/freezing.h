@@ -2,6 +2,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <span>
 #include <vector>
 
@@ -41,14 +42,24 @@ class Freezer {
     float px_per_m = 0, thawing_px_per_m = 0;  ///< in the nearest view it trained with; in one since it froze
     bool seen_from_near = false;               ///< since it froze, or about as near as it trained
     double loss_at_freeze = 0;                 ///< below 0: nobody knows
+    std::uint64_t light_epoch = 0;             ///< in which its window began
   };
   Page& at(const model::PageStore& store, std::uint32_t page);
+  /// Whether the light is another than the one that pages have settled for.
+  void compare_light(const SceneState& scene);
 
   std::vector<Page> pages_;
+  /// Of the first view of an epoch, each of which begins when the light has become another.
+  std::optional<SceneState> epoch_scene_;
+  std::uint64_t light_epoch_ = 0;
   /// Of optimizer time: when decide() is due, when pages may freeze, and when all began. The latter is rare, for what
   /// reads the model has to look at each page anew that changes its state.
   double next_s_ = 0, next_freeze_s_ = -1, first_seen_s_ = -1;
 };
+
+/// How differently two lights show a scene: what changes of the light that arrives, as a share of all. Of a surface that
+/// faces what changes; sources count as they would at a metre, one that moved by a metre or more as another.
+[[nodiscard]] float light_change(const Light& before, const Light& now);
 
 /// Pixels that a metre takes at the point of a page's bounds that is nearest to the camera; 0 for an object that the
 /// view does not have.

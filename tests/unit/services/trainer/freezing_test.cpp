@@ -29,6 +29,7 @@ class FreezerTest : public FreezingTest {
   Freezer::Change second(const std::vector<double>& errors, int looks = 8, float distance_m = 3) {
     ViewLook look{.view = nullptr, .loss = 0, .pages = {}};
     TrainingView view;
+    view.scene = scene;
     view.camera.fx = 100;
     const PageBounds bounds = store().view().bounds[0];
     view.camera.world_from_camera.translation = {bounds.high.x + distance_m, bounds.low.y, bounds.low.z};
@@ -47,6 +48,14 @@ class FreezerTest : public FreezingTest {
   }
   [[nodiscard]] PageState state(std::size_t p) { return store().table().entry(pages_[p]).now.state; }
 
+  /// From now on the sun stands there.
+  void turn_sun(float to_deg) {
+    scene.version += 1;
+    scene.light.sun_irradiance = glm::vec3(2);
+    scene.light.sun_direction = {std::cos(glm::radians(to_deg)), 0, std::sin(glm::radians(to_deg))};
+  }
+
+  SceneState scene;
   Trial trial_;
   FreezeOptions options_{.after_s = 3, .least_gain = 0.05F, .most_movement = 0.02F, .thaw_rise = 1.5F};
   Freezer freezer_;
@@ -146,6 +155,49 @@ TEST_F(FreezerTest, WhatAFolderHadFrozenTrainsWhenAViewComesNearerThanTheFirst) 
   EXPECT_TRUE(second({0.1}, 8, 12).thaw.empty());
   EXPECT_TRUE(second({0.1}, 8, 9).thaw.empty());
   EXPECT_EQ(second({0.1}, 8, 3).thaw, std::vector{pages_[0]});
+}
+
+TEST_F(FreezerTest, ItTrainsAgainUnderAnotherLight) {
+  std::vector<double> seen(pages_.size(), 0.1);
+  turn_sun(0);
+  for (int s = 0; s < 6; ++s) (void)second(seen);
+  ASSERT_EQ(store().frozen_pages(), pages_.size());
+  turn_sun(4);
+  EXPECT_TRUE(second(seen).thaw.empty());
+  turn_sun(8);
+  EXPECT_EQ(second({0.1}).thaw, std::vector{pages_[0]}) << "the others were not seen";
+  for (int s = 0; s < 6; ++s) EXPECT_TRUE(second({0.1}).freeze.empty()) << s << ": it is to settle anew";
+  EXPECT_EQ(second({0.1}).freeze, std::vector{pages_[0]});
+}
+
+TEST_F(FreezerTest, NothingRestsWhileTheLightTurns) {
+  const std::vector<double> seen(pages_.size(), 0.1);
+  for (int s = 0; s < 20; ++s) {
+    turn_sun(15.0F * static_cast<float>(s));
+    EXPECT_TRUE(second(seen).freeze.empty()) << s;
+  }
+}
+
+TEST(LightChange, IsTheShareOfWhatArrivesThatIsAnother) {
+  Light light;
+  light.sun_irradiance = glm::vec3(2);
+  light.sources = {{.id = 3, .position = {0, 1, 0}, .intensity = glm::vec3(2)}};
+  EXPECT_EQ(light_change(light, light), 0);
+  Light other = light;
+  other.sun_direction = {1, 0, 0};
+  EXPECT_NEAR(light_change(light, other), std::sqrt(2.0F) / 2, 1e-5F);
+  other = light;
+  other.sources[0].position.x = 5;
+  EXPECT_NEAR(light_change(light, other), 0.5F, 1e-5F);
+  other.sources[0].position.x = 0.1F;
+  EXPECT_NEAR(light_change(light, other), 0.05F, 1e-5F);
+  other.sources.clear();
+  EXPECT_NEAR(light_change(light, other), 0.5F, 1e-5F);
+  EXPECT_NEAR(light_change(other, light), 0.5F, 1e-5F);
+  other = light;
+  other.sun_irradiance = glm::vec3(0);
+  EXPECT_NEAR(light_change(light, other), 0.5F, 1e-5F);
+  EXPECT_EQ(light_change({}, {}), 0) << "a night is as dark as another";
 }
 
 TEST_F(FreezerTest, WhatIsPutInIsToBeLearned) {
