@@ -41,6 +41,7 @@ std::vector<WrittenFrame> FrameRings::write(std::span<const splatbus_frame> fram
     for (const splatbus_frame& frame : frames) {
       begun.push_back(begin(frame));
       const auto& ring = begun.back().ring;
+      if (!ring) continue;
       const auto in_ring = static_cast<std::size_t>(std::ranges::count(begun, ring, &BegunFrame::ring));
       if (in_ring >= ring->slab->slots() / 2) break;
     }
@@ -53,6 +54,7 @@ std::vector<WrittenFrame> FrameRings::write(std::span<const splatbus_frame> fram
 
 FrameRings::BegunFrame FrameRings::begin(const splatbus_frame& frame) {
   const std::span images(frame.images, frame.image_count);
+  if (images.empty()) return {.frame = &frame, .ring = {}, .slot = 0};
   std::size_t total = 0;
   for (const splatbus_image& image : images) total += bus::aligned(image.bytes);
   BegunFrame begun{.frame = &frame, .ring = ring_for(total)};
@@ -72,6 +74,10 @@ std::vector<WrittenFrame> FrameRings::finish(const std::vector<BegunFrame>& begu
   bus::finish_copies();
   std::vector<WrittenFrame> written;
   for (const BegunFrame& done : begun) {
+    if (!done.ring) {
+      written.emplace_back();
+      continue;
+    }
     bus::Slab& slab = *done.ring->slab;
     const std::uint64_t generation = slab.end_write(done.slot);
     WrittenFrame& frame = written.emplace_back(WrittenFrame{done.ring, {}});

@@ -23,7 +23,7 @@ struct FrameRing {
 
 /// A frame's images in a slot of a ring.
 struct WrittenFrame {
-  std::shared_ptr<FrameRing> ring;
+  std::shared_ptr<FrameRing> ring;  ///< null: it has none
   std::vector<bus::OutgoingTensor> tensors;
 };
 
@@ -48,7 +48,7 @@ class FrameRings {
   /// A frame whose images are being copied.
   struct BegunFrame {
     const splatbus_frame* frame = nullptr;
-    std::shared_ptr<FrameRing> ring;
+    std::shared_ptr<FrameRing> ring;  ///< null: it has no images
     std::size_t slot = 0;
   };
   [[nodiscard]] BegunFrame begin(const splatbus_frame& frame);

@@ -40,13 +40,14 @@ FrameSender::~FrameSender() = default;
 
 void FrameSender::send(const splatbus_frame& frame, WrittenFrame written, std::int64_t capture_ns) {
   const std::scoped_lock lock(mutex_);
-  if (waiting_.empty() && written.ring->registered) {
+  if (waiting_.empty() && (!written.ring || written.ring->registered)) {
     publish(frame, {.capture_ns = capture_ns, .tensors = std::move(written.tensors)});
     return;
   }
   const std::shared_ptr<FrameRing> ring = written.ring;
+  if (!ring) std::erase_if(waiting_, [](const Waiting& entry) { return !entry.ring; });
   waiting_.emplace_back(frame, std::move(written), capture_ns);
-  drop_oldest_beyond_half(*ring);
+  if (ring) drop_oldest_beyond_half(*ring);
   more_.notify_one();
 }
 
@@ -73,7 +74,7 @@ void FrameSender::publish(const splatbus_frame& frame, const bus::MessageInfo& i
 }
 
 void FrameSender::publish_waiting() {
-  while (!waiting_.empty() && waiting_.front().ring->registered) {
+  while (!waiting_.empty() && waiting_.front().ready()) {
     publish(waiting_.front().frame, waiting_.front().info);
     waiting_.pop_front();
   }
@@ -89,6 +90,10 @@ void FrameSender::run(const std::stop_token& stop) {
       if (now > *end) return;
     }
     const std::shared_ptr<FrameRing> ring = waiting_.front().ring;
+    if (!ring) {
+      publish_waiting();
+      continue;
+    }
     bool registered = false;
     std::string refusal;
     lock.unlock();

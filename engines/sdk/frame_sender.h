@@ -26,6 +26,7 @@ class FrameSender {
   /// Waits for what is still to be sent, for half a second at most.
   ~FrameSender();
 
+  /// One without a ring waits for those before it, and then the newest of its kind is enough.
   void send(const splatbus_frame& frame, WrittenFrame written, std::int64_t capture_ns);
 
   /// Why the bus will not have this ring, or an empty string.
@@ -37,7 +38,8 @@ class FrameSender {
   /// With objects and lights of its own.
   struct Waiting {
     Waiting(const splatbus_frame& of, WrittenFrame written, std::int64_t when);
-    std::shared_ptr<FrameRing> ring;
+    [[nodiscard]] bool ready() const { return !ring || ring->registered; }
+    std::shared_ptr<FrameRing> ring;  ///< null: it has no images
     std::vector<splatbus_object> objects;
     std::vector<splatbus_light_source> sources;
     splatbus_frame frame;

@@ -170,6 +170,7 @@ splatbus_status splatbus_engine_submit_all(splatbus_engine* engine, const splatb
     while (!left.empty()) {
       std::vector<engine_sdk::WrittenFrame> written = engine->rings.write(left);
       for (const engine_sdk::WrittenFrame& one : written) {
+        if (!one.ring) continue;
         if (const std::string refusal = engine->sender.refusal(*one.ring); !refusal.empty()) {
           engine->rings.forget(*one.ring);
           throw bus::Error(refusal);

@@ -164,7 +164,8 @@ typedef struct {
   uint64_t request_id; /* of the request */
   splatbus_camera camera;
   uint32_t light_id, light_map; /* role light: of the request */
-  const splatbus_image* images;
+  const splatbus_image* images; /* none, where nothing is to be rendered: it says objects and light alone, and
+                                   request_id, camera and what is of it do not count */
   size_t image_count;
   const splatbus_object* objects; /* every one that exists now; ids are unique */
   size_t object_count;            /* at most SPLATBUS_MAX_OBJECTS */
@@ -189,13 +190,14 @@ void splatbus_engine_close(splatbus_engine* engine);
 splatbus_status splatbus_engine_poll(splatbus_engine* engine, int timeout_ms, const splatbus_camera_request** requests,
                                      size_t* count, int* changed);
 
-/* Publishes one camera of one frame; copies the images into a slab ring in which readers have about a second. Waits for
- * nobody: frames of a size that is new are published by a thread of this library as soon as the broker has their
- * memory, and where there is no broker the newest wait for it, half a ring of them (4 large ones, 64 small ones); the
- * others are dropped and counted. SPLATBUS_ERROR_BUS: the bus refused the memory of frames before this one, because
- * another process publishes under this name, say; or there is no memory, or the device failed. Checks everything but
- * the pixels: transforms, ids, light, camera, sizes, and that frame and time do not run backwards. What is wrong is
- * refused with SPLATBUS_ERROR_ARGUMENT and words that name it, and nothing of the call is published.
+/* Publishes one camera of one frame, or where objects or light have changed and no camera is due, the frame alone:
+ * viewers see what moves at the rate at which it is said. Copies the images into a slab ring in which readers have
+ * about a second. Waits for nobody: frames of a size that is new are published by a thread of this library as soon as
+ * the broker has their memory, and where there is no broker the newest wait for it, half a ring of them (4 large ones,
+ * 64 small ones); the others are dropped and counted. SPLATBUS_ERROR_BUS: the bus refused the memory of frames before
+ * this one, because another process publishes under this name, say; or there is no memory, or the device failed. Checks
+ * everything but the pixels: transforms, ids, light, camera, sizes, and that frame and time do not run backwards. What
+ * is wrong is refused with SPLATBUS_ERROR_ARGUMENT and words that name it, and nothing of the call is published.
  *
  * An image in CUDA memory is complete before the call: its writer has waited for its stream, or for the graphics API
  * that it is shared with. The copy runs on a stream of the calling thread's own, from device to device when the frames

@@ -219,13 +219,15 @@ std::string problem(const splatbus_camera_request& request) {
 
 std::string problem(const splatbus_frame& frame) {
   if (!std::isfinite(frame.time_s)) return "time_s is not finite";
-  if (std::string wrong = problem(frame.camera); !wrong.empty()) return wrong;
   if (std::string wrong = problem(frame.light); !wrong.empty()) return wrong;
-  if (frame.camera.role == SPLATBUS_ROLE_LIGHT) {
-    if (std::string wrong = problem_of_light_map(frame); !wrong.empty())
-      return fmt::format("camera {} (role {}): {}", frame.camera.id, frame.camera.role, wrong);
+  if (frame.image_count > 0) {
+    if (frame.images == nullptr) return "images is NULL";
+    if (std::string wrong = problem(frame.camera); !wrong.empty()) return wrong;
+    if (frame.camera.role == SPLATBUS_ROLE_LIGHT) {
+      if (std::string wrong = problem_of_light_map(frame); !wrong.empty())
+        return fmt::format("camera {} (role {}): {}", frame.camera.id, frame.camera.role, wrong);
+    }
   }
-  if (frame.image_count == 0 || frame.images == nullptr) return "the frame has no image";
   std::uint32_t seen = 0;
   for (const splatbus_image& image : std::span(frame.images, frame.image_count)) {
     if (std::string wrong = problem(image, frame.camera); !wrong.empty()) return wrong;

@@ -118,8 +118,18 @@ void EngineLoop::render_frame(std::uint64_t frame) {
   options_.before_frame();
   standing_frame_ = frame;
   // Whether light depth is due depends on what has moved by now.
-  if (schedule_.watches_scene()) renderer_.set_time(time_of(frame));
+  renderer_.set_time(time_of(frame));
   render_cameras(frame, schedule_.due(time_of(frame), depth_versions()), true);
+  submit_scene(frame);
+}
+
+void EngineLoop::submit_scene(std::uint64_t frame) {
+  if (submitted_scene_ == renderer_.scene_version()) return;
+  const splatbus_frame scene = frame_of(frame, {}, {});
+  if (splatbus_engine_submit(&engine_, &scene) != SPLATBUS_OK) {
+    spdlog::error("frame {}: {}", frame, splatbus_engine_last_error(&engine_));
+  }
+  submitted_scene_ = renderer_.scene_version();
 }
 
 Schedule::DepthVersion EngineLoop::depth_versions() const {
@@ -273,6 +283,7 @@ void EngineLoop::submit(std::span<const splatbus_frame> frames) {
     throw std::runtime_error(splatbus_engine_last_error(&engine_));
   }
   cameras_submitted_ += frames.size();
+  submitted_scene_ = renderer_.scene_version();
 }
 
 void EngineLoop::count(const char* name, double value) {

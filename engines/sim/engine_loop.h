@@ -70,6 +70,8 @@ class EngineLoop {
   [[nodiscard]] splatbus_frame frame_of(std::uint64_t frame, const splatbus_camera_request& request,
                                         const LightCamera& view) const;
   void submit(std::span<const splatbus_frame> frames);
+  /// What has changed since anything was submitted, where no camera has said it.
+  void submit_scene(std::uint64_t frame);
   const Pictures& pictures_for(const splatbus_camera_request& request, const LightCamera& view);
   [[nodiscard]] Schedule::DepthVersion depth_versions() const;
   void count_render(std::int64_t begin_ns, std::size_t cameras);
@@ -92,7 +94,8 @@ class EngineLoop {
   std::map<std::pair<std::uint32_t, std::uint32_t>, Rendered> rendered_;  ///< by role and id, of repeated requests
   std::uint64_t cameras_submitted_ = 0, cameras_rendered_ = 0, cameras_failed_ = 0, cameras_postponed_ = 0;
   std::uint64_t frames_skipped_ = 0;
-  double render_ms_ = 0;  ///< a camera, an exponential mean
+  std::uint64_t submitted_scene_ = 0;  ///< the renderer's scene version that was submitted last
+  double render_ms_ = 0;               ///< a camera, an exponential mean
 };
 
 }  // namespace splatbus::sim

@@ -92,6 +92,8 @@ void CaptureBridge::handle_frame(const wire::EngineFrame& frame, const bus::Mess
   }
   // It goes on: an object that comes and goes would have all references rendered anew each time.
   if (forwarder_.masks_objects()) rigs_.ask_for_ids();
+  const auto* tensors = frame.header()->tensors();
+  if (tensors == nullptr || tensors->size() == 0) return;  // what moved and nothing else
   switch (frame.camera()->role()) {
     case wire::CameraRole::Input:
       handle_input(message, frame);

@@ -57,8 +57,8 @@ class Freezer {
   double next_s_ = 0, next_freeze_s_ = -1, first_seen_s_ = -1;
 };
 
-/// How differently two lights show a scene: what changes of the light that arrives, as a share of all. Of a surface that
-/// faces what changes; sources count as they would at a metre, one that moved by a metre or more as another.
+/// How differently two lights show a scene: what changes of the light that arrives, as a share of all. Of a surface
+/// that faces what changes; sources count as they would at a metre, one that moved by a metre or more as another.
 [[nodiscard]] float light_change(const Light& before, const Light& now);
 
 /// Pixels that a metre takes at the point of a page's bounds that is nearest to the camera; 0 for an object that the

@@ -152,6 +152,61 @@ TEST_F(SdkTest, TheNewestFramesArriveOnceTheirMemoryCanBeFound) {
   EXPECT_EQ(splatbus_engine_frames_dropped(engine.get()), kNumbered - kHalfARing);
 }
 
+/// Objects and light, where no camera is due.
+splatbus_frame scene_alone(std::uint64_t number, std::vector<splatbus_object>& objects) {
+  objects = {{static_cast<std::uint32_t>(number) + 1U, {{1, 0, 0, 0}, {1, 2, 3}}, 1, 0}};
+  splatbus_frame frame{};
+  frame.frame = number;
+  frame.time_s = 0.5;
+  frame.camera.fx = kNan;
+  frame.light.sun_direction[1] = 1;
+  frame.objects = objects.data();
+  frame.object_count = objects.size();
+  return frame;
+}
+
+TEST_F(SdkTest, AFrameWithoutImagesSaysObjectsAndLight) {
+  const auto context = connect("tester");
+  bus::Subscriber frames(context, {"engine/frame"});
+  ASSERT_TRUE(frames.wait_connected(patience));
+  const Engine engine = open();
+  std::vector<splatbus_object> objects;
+  const splatbus_frame first = scene_alone(0, objects);
+  ASSERT_EQ(splatbus_engine_submit(engine.get(), &first), SPLATBUS_OK) << splatbus_engine_last_error(engine.get());
+  auto message = frames.receive(patience);
+  ASSERT_TRUE(message.has_value());
+  EXPECT_EQ(message->root<wire::EngineFrame>().scene()->objects()->Get(0)->id(), 1U);
+  EXPECT_FALSE(message->announces("color"));
+  // What is wrong with it is refused all the same.
+  splatbus_frame wrong = scene_alone(1, objects);
+  wrong.light.sun_direction[1] = kNan;
+  EXPECT_EQ(splatbus_engine_submit(engine.get(), &wrong), SPLATBUS_ERROR_ARGUMENT);
+  EXPECT_THAT(splatbus_engine_last_error(engine.get()), HasSubstr("sun_direction"));
+}
+
+TEST_F(SdkTest, FramesWithoutImagesStayBehindThoseBeforeThem) {
+  const std::filesystem::path slabs = directory_.address().slab_socket(), hidden = slabs.string() + ".hidden";
+  const auto context = connect("tester");
+  bus::Subscriber frames(context, {"engine/frame"});
+  ASSERT_TRUE(frames.wait_connected(patience));
+  ASSERT_TRUE(context->wait_connected(patience));
+  std::filesystem::rename(slabs, hidden);
+  const Engine engine = open();
+  submit_numbered(engine.get(), 2);
+  std::vector<splatbus_object> objects;
+  for (std::uint64_t number = 2; number < 1000; ++number) {
+    const splatbus_frame frame = scene_alone(number, objects);
+    ASSERT_EQ(splatbus_engine_submit(engine.get(), &frame), SPLATBUS_OK);
+  }
+  std::filesystem::rename(hidden, slabs);
+  for (const std::uint64_t expected : {0, 1, 999}) {
+    const auto message = frames.receive(patience);
+    ASSERT_TRUE(message.has_value());
+    EXPECT_EQ(message->root<wire::EngineFrame>().scene()->frame(), expected);
+  }
+  EXPECT_EQ(splatbus_engine_frames_dropped(engine.get()), 0U) << "the newest says what the others did";
+}
+
 TEST_F(SdkTest, ASecondEngineOfOneNameIsToldSo) {
   const bus_test::ChildProcess first("bus-test-service", {"--bus", directory_.address().text()},
                                      directory_.path() + "/output");

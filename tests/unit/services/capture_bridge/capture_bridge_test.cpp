@@ -242,6 +242,15 @@ TEST_F(CaptureBridgeTest, ChangesOfLightAndObjectsAreNumbered) {
   EXPECT_GT(state(2)->version(), state(1)->version());
   EXPECT_EQ(from_wire(*state(2)).light.sun_irradiance, glm::vec3(2));
   ASSERT_TRUE(until([&] { return version_of(references(CameraRole::Reference).back()) == state(2)->version(); }));
+  // One that no camera was due in.
+  engine_.light.sun_irradiance = {3, 3, 3};
+  const std::size_t before = references(CameraRole::Reference).size();
+  const std::uint64_t lost_before = bridge_->counters().frames_lost;
+  engine_.submit_scene();
+  ASSERT_TRUE(until([&] { return received_["scene/state"].size() == 4; }));
+  EXPECT_EQ(from_wire(*state(3)).light.sun_irradiance, glm::vec3(3));
+  EXPECT_EQ(bridge_->counters().frames_lost, lost_before);
+  EXPECT_EQ(references(CameraRole::Reference).size(), before);
   // A frame from before, late: the newest state stands, and its picture has no version.
   const std::size_t pictures = references(CameraRole::Reference).size();
   engine_.frame = 0;
@@ -249,7 +258,7 @@ TEST_F(CaptureBridgeTest, ChangesOfLightAndObjectsAreNumbered) {
   engine_.submit(camera, wire::EngineBuffer::Color, 0);
   const auto lost = bridge_->counters().frames_lost;
   ASSERT_TRUE(until([&] { return bridge_->counters().frames_lost > lost; }));
-  EXPECT_EQ(received_["scene/state"].size(), 3U);
+  EXPECT_EQ(received_["scene/state"].size(), 4U);
   EXPECT_EQ(references(CameraRole::Reference).size(), pictures);
 }
 

@@ -100,6 +100,9 @@ class FakeEngine {
   };
 
   /// By the light's own camera: cascades look along it, those of the whole scene over scene_m, faces from it.
+  /// Objects and light alone.
+  void submit_scene() { publish({}, 0, {}, 0, 0); }
+
   void submit_light(const Request& request) {
     Camera camera = request.camera;
     const auto source =
