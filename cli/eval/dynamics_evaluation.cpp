@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <numeric>
 
 #include "figures.h"
 #include "metrics/contact_sheet.h"
@@ -18,7 +19,9 @@ using Json = nlohmann::json;
 
 constexpr int kPointLights = 3;
 constexpr const char* kHeader =
-    "run,time_s,camera,picture,ssim,psnr,flip,masked_ssim,shadow_ssim,still_masked_ssim,still_shadow_ssim\n";
+    "run,time_s,camera,picture,ssim,psnr,flip,masked_ssim,masked_psnr,masked_flip,shadow_ssim,shadow_psnr,shadow_flip,"
+    "still_masked_ssim,still_shadow_ssim\n";
+constexpr const char* kStreamHeader = "run,time_s,packet,kbps,state_delay_ms_median,state_delay_ms_p99\n";
 
 Json figure(const std::optional<double>& value) {
   return value ? Json(rounded(*value)) : Json();
@@ -75,18 +78,58 @@ std::string csv_rows(const char* run, const DynamicsResults& results) {
   const auto number = [](const std::optional<double>& value) {
     return value ? fmt::format("{:.5f}", *value) : std::string();
   };
-  const auto add = [&](const DynamicsSample& sample, const char* picture, const metrics::Quality& quality,
-                       const MaskedFigures& masked) {
-    rows += fmt::format("{},{:.3f},{},{},{:.5f},{:.3f},{:.5f},{},{},{},{}\n", run, sample.time_s, sample.camera,
-                        picture, quality.ssim, finite_psnr(quality.psnr_db), quality.flip, number(masked.moving),
-                        number(masked.shadow), number(sample.still.moving), number(sample.still.shadow));
+  const auto decibels = [&](const std::optional<double>& psnr) {
+    return psnr ? fmt::format("{:.3f}", finite_psnr(*psnr)) : std::string();
+  };
+  const auto add = [&](const DynamicsSample& sample, const char* picture, const DrawnFigures& figures) {
+    rows += fmt::format("{},{:.3f},{},{},{:.5f},{},{:.5f},{},{},{},{},{},{},{},{}\n", run, sample.time_s, sample.camera,
+                        picture, figures.whole.ssim, decibels(figures.whole.psnr_db), figures.whole.flip,
+                        number(figures.masked.moving), decibels(figures.masked_psnr.moving),
+                        number(figures.masked_flip.moving), number(figures.masked.shadow),
+                        decibels(figures.masked_psnr.shadow), number(figures.masked_flip.shadow),
+                        number(sample.still.moving), number(sample.still.shadow));
   };
   for (const DynamicsSample& sample : results.samples) {
-    if (sample.on) add(sample, "on", sample.on->whole, sample.on->masked);
-    if (sample.off) add(sample, "off", sample.off->whole, sample.off->masked);
-    if (sample.viewer) add(sample, "viewer", *sample.viewer, {});
+    if (sample.on) add(sample, "on", *sample.on);
+    if (sample.off) add(sample, "off", *sample.off);
+    if (sample.viewer) add(sample, "viewer", {.whole = *sample.viewer});
   }
   return rows;
+}
+
+/// Rates of each packet type between two readings of the streamer's counters, a second or so apart.
+std::string stream_rows(const char* run, const DynamicsResults& results) {
+  std::string rows;
+  const auto number = [](const std::optional<double>& value) {
+    return value ? fmt::format("{:.2f}", *value) : std::string();
+  };
+  for (std::size_t k = 1; k < results.stream.size(); ++k) {
+    const StreamSecond &before = results.stream[k - 1], &now = results.stream[k];
+    for (const auto& [type, bytes] : now.total_bytes) {
+      const auto known = before.total_bytes.find(type);
+      const std::uint64_t bytes_before = known != before.total_bytes.end() ? known->second : 0;
+      const auto kbps = kilobits_per_s(bytes_before, bytes, now.time_s - before.time_s);
+      rows += fmt::format("{},{:.3f},{},{},{},{}\n", run, now.time_s, type, number(kbps),
+                          number(now.state_delay_ms_median), number(now.state_delay_ms_p99));
+    }
+  }
+  return rows;
+}
+
+/// Mean over the objects that were away and are there again, of all cameras.
+std::optional<double> return_drop(const DynamicsResults& results) {
+  std::vector<double> drops;
+  for (std::size_t camera = 0; camera < kDynamicsCameras; ++camera) {
+    std::vector<ObjectFigures> seen;
+    for (const DynamicsSample& sample : results.samples) {
+      if (sample.camera != camera || !sample.on) continue;
+      seen.push_back({.time_s = sample.time_s, .existing = sample.objects, .of_object = sample.on->object_ssim});
+    }
+    const std::vector<double> of_camera = return_drops(seen);
+    drops.insert(drops.end(), of_camera.begin(), of_camera.end());
+  }
+  if (drops.empty()) return {};
+  return std::accumulate(drops.begin(), drops.end(), 0.0) / static_cast<double>(drops.size());
 }
 
 std::optional<double> ghost_flip(const DynamicsSample& sample) {
@@ -225,6 +268,11 @@ Json summarize_living(const DynamicsResults& living) {
       {"ssim_viewer_worst_second", figure(worst_second(series(living, viewer_ssim), living.window))},
       {"state_delay_ms_median", figure(living.state_delay_ms_median)},
       {"state_delay_ms_p99", figure(living.state_delay_ms_p99)},
+      {"picture_age_ms_median", figure(living.picture_age_ms_median)},
+      {"picture_age_ms_p99", figure(living.picture_age_ms_p99)},
+      {"object_change_ms_max", figure(living.object_change_ms_max)},
+      {"visibility_lead_ms_median", figure(living.visibility_lead_ms_median)},
+      {"return_ssim_drop", figure(return_drop(living))},
       {"scene_kbps", figure(living.scene_kbps)},
       {"visibility_kbps", figure(living.visibility_kbps)},
       {"wire_mbps_mean", rounded(living.wire_mbps_mean)},
@@ -262,12 +310,13 @@ Json run_dynamics_evaluation(const DynamicsOptions& options, const StopSignals& 
   };
   const EngineScene still_scene{.fps = options.fps, .reference_rate_hz = options.reference_rate_hz};
   Json summary = {{"seconds", options.seconds}};
-  std::string csv = kHeader;
+  std::string csv = kHeader, stream_csv = kStreamHeader;
   std::optional<MapsOfCameras> still_maps;
   if (options.still_only || options.still_seconds > 0) {
     const DynamicsResults still =
         run("still", still_scene, options.still_only ? options.seconds : options.still_seconds, Support::On, nullptr);
     csv += csv_rows("still", still);
+    stream_csv += stream_rows("still", still);
     summary.update(summarize_still(still));
     still_maps = still.mean_maps;
   }
@@ -281,11 +330,13 @@ Json run_dynamics_evaluation(const DynamicsOptions& options, const StopSignals& 
     const DynamicsResults living =
         run(name_of(light), scene, options.seconds, options.support, comparable ? &*still_maps : nullptr);
     csv += csv_rows(name_of(light), living);
+    stream_csv += stream_rows(name_of(light), living);
     const Json figures = summarize_living(living);
     if (light == options.lights.front()) summary.update(figures);
     summary[name_of(light)] = figures;
   }
   write_text(out / "figures.csv", csv);
+  write_text(out / "stream.csv", stream_csv);
   write_text(out / "summary.json", json_text(summary, 2) + "\n");
   return summary;
 }

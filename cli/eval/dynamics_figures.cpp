@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cassert>
 #include <cmath>
+#include <limits>
 #include <map>
 #include <opencv2/imgproc.hpp>
 
@@ -93,6 +94,33 @@ std::optional<double> masked_mean(const cv::Mat& map, const cv::Mat& mask) {
   assert(map.type() == CV_32FC1 && map.size() == mask.size());
   if (cv::countNonZero(mask) == 0) return {};
   return cv::mean(map, mask)[0];
+}
+
+std::optional<double> masked_psnr(const cv::Mat& picture, const cv::Mat& reference, const cv::Mat& mask) {
+  if (cv::countNonZero(mask) == 0) return {};
+  cv::Mat difference;
+  cv::subtract(picture, reference, difference, cv::noArray(), CV_32F);
+  const cv::Scalar mean = cv::mean(difference.mul(difference), mask);
+  const double square = (mean[0] + mean[1] + mean[2]) / 3;
+  return square > 0 ? 10 * std::log10(255.0 * 255.0 / square) : std::numeric_limits<double>::infinity();
+}
+
+std::vector<double> return_drops(std::span<const ObjectFigures> seen) {
+  struct Known {
+    double figure = 0;
+    bool away = false;
+  };
+  std::map<std::uint32_t, Known> known;
+  std::vector<double> drops;
+  for (const ObjectFigures& picture : seen) {
+    for (auto& [id, object] : known) object.away = object.away || !picture.existing.contains(id);
+    for (const auto& [id, figure] : picture.of_object) {
+      const auto before = known.find(id);
+      if (before != known.end() && before->second.away) drops.push_back(before->second.figure - figure);
+      known[id] = {.figure = figure, .away = false};
+    }
+  }
+  return drops;
 }
 
 void MeanMap::add(const cv::Mat& map) {

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <map>
 #include <opencv2/core.hpp>
 #include <optional>
 #include <set>
@@ -50,6 +51,19 @@ struct TimeWindow {
 
 /// Mean of a CV_32FC1 map where `mask` is not 0; nullopt where it is 0 everywhere. Both have one size.
 [[nodiscard]] std::optional<double> masked_mean(const cv::Mat& map, const cv::Mat& mask);
+
+/// PSNR where `mask` is not 0, of 8-bit pictures, in decibels; nullopt where it is 0 everywhere.
+[[nodiscard]] std::optional<double> masked_psnr(const cv::Mat& picture, const cv::Mat& reference, const cv::Mat& mask);
+
+/// By how much SSIM falls where an object is that was away and has returned: of the last figure before minus the first
+/// after it, the mean over all returns; nullopt without any. `seen` has one camera's figures by object, by ascending
+/// time; an object that is not in a picture's scene has none there.
+struct ObjectFigures {
+  double time_s = 0;
+  std::set<std::uint32_t> existing;           ///< objects of the scene
+  std::map<std::uint32_t, double> of_object;  ///< those that show
+};
+[[nodiscard]] std::vector<double> return_drops(std::span<const ObjectFigures> seen);
 
 /// The mean of maps of one size, CV_32FC1, taken in one by one.
 class MeanMap {

@@ -48,6 +48,12 @@ SceneBytes scene_bytes(const PipelineState::Stream& stream) {
   return bytes;
 }
 
+std::set<std::uint32_t> objects_of(const SceneState& scene) {
+  std::set<std::uint32_t> ids;
+  for (const auto& [id, transform] : scene.objects) ids.insert(id);
+  return ids;
+}
+
 class DynamicsRun {
  public:
   DynamicsRun(const DynamicsRunOptions& options, const StopSignals& signals, const MapsOfCameras* still,
@@ -126,6 +132,7 @@ class DynamicsRun {
     if (shots_.waiting() >= kMostShots) shots_.compare(results_.samples);
     if (bus::now_ns() - shown_ns_ > kShowNs) {
       shown_ns_ = bus::now_ns();
+      note_second();
       const auto& trainer = pipeline_.state().trainer;
       show_state_(fmt::format("{:.0f}/{:.0f} s  {} Gaussians  {:.1f} steps/s  {} held-out pictures", engine_s(),
                               options_.seconds, trainer.gaussians, trainer.steps_per_s, results_.samples.size()));
@@ -178,6 +185,7 @@ class DynamicsRun {
                                 .probe_id = probe.probe_id,
                                 .paired = lights.has_value(),
                                 .extra = waiting.extra,
+                                .objects = objects_of(probe.scene),
                                 .on = {},
                                 .off = {},
                                 .still = {},
@@ -217,20 +225,33 @@ class DynamicsRun {
       results_.scene_kbps = kilobits_per_s(bytes_before_->scene, bytes.scene, seconds);
       results_.visibility_kbps = kilobits_per_s(bytes_before_->visibility, bytes.visibility, seconds);
     }
-    for (const ProcessStatus& process : pipeline_.processes()) {
-      const auto counter = [&](const char* name) -> std::optional<double> {
-        const auto found = process.counters.find(name);
-        if (found == process.counters.end()) return {};
-        return found->second;
-      };
-      if (process.name == "viewer") {
-        results_.state_delay_ms_median = counter("scene_delay_ms_p50");
-        results_.state_delay_ms_p99 = counter("scene_delay_ms_p99");
-      } else if (process.name == "engine" && counter("frame")) {
-        const double rendered = *counter("frame") - counter("frames_skipped").value_or(0);
-        results_.engine_frames_per_s = rendered * options_.scene.fps.value_or(0) / std::max(1.0, *counter("frame"));
-      }
+    results_.state_delay_ms_median = counter("viewer", "scene_delay_ms_p50");
+    results_.state_delay_ms_p99 = counter("viewer", "scene_delay_ms_p99");
+    results_.picture_age_ms_median = counter("viewer", "picture_age_ms_p50");
+    results_.picture_age_ms_p99 = counter("viewer", "picture_age_ms_p99");
+    results_.object_change_ms_max = counter("viewer", "object_change_ms_max");
+    results_.visibility_lead_ms_median = counter("viewer", "visibility_lead_ms_p50");
+    if (const std::optional<double> frames = counter("engine", "frame")) {
+      const double rendered = *frames - counter("engine", "frames_skipped").value_or(0);
+      results_.engine_frames_per_s = rendered * options_.scene.fps.value_or(0) / std::max(1.0, *frames);
     }
+  }
+
+  /// The process's own, as its last heartbeat had it.
+  [[nodiscard]] std::optional<double> counter(const char* process, const char* name) const {
+    for (const ProcessStatus& status : pipeline_.processes()) {
+      if (status.name != process) continue;
+      if (const auto found = status.counters.find(name); found != status.counters.end()) return found->second;
+    }
+    return {};
+  }
+
+  void note_second() {
+    if (newest_ns_ == 0) return;
+    results_.stream.push_back({.time_s = engine_s(),
+                               .total_bytes = pipeline_.state().stream.total_bytes,
+                               .state_delay_ms_median = counter("viewer", "scene_delay_ms_p50"),
+                               .state_delay_ms_p99 = counter("viewer", "scene_delay_ms_p99")});
   }
 
   const DynamicsRunOptions& options_;

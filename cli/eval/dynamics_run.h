@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <functional>
+#include <map>
 #include <nlohmann/json.hpp>
 #include <opencv2/core.hpp>
 #include <optional>
@@ -31,6 +32,13 @@ struct DynamicsRunOptions {
   std::filesystem::path log;
 };
 
+/// What the stream had sent, and how late its scenes were, at one time.
+struct StreamSecond {
+  double time_s = 0;  ///< of the engine
+  std::map<std::string, std::uint64_t> total_bytes;
+  std::optional<double> state_delay_ms_median, state_delay_ms_p99;
+};
+
 /// What one run of the pipeline came to.
 struct DynamicsResults {
   std::vector<DynamicsSample> samples;
@@ -38,7 +46,10 @@ struct DynamicsResults {
   std::vector<DynamicsPictures> motion;    ///< of camera 0, ten a second for a while
   MapsOfCameras mean_maps;                 ///< of the judged window
   TimeWindow window;                       ///< engine seconds that are judged
+  std::vector<StreamSecond> stream;        ///< second by second
   std::optional<double> state_delay_ms_median, state_delay_ms_p99, scene_kbps, visibility_kbps;
+  /// The viewer's, of the engine's frame to a finished picture, and of visibility (viewer/picture_age.h).
+  std::optional<double> picture_age_ms_median, picture_age_ms_p99, object_change_ms_max, visibility_lead_ms_median;
   double wire_mbps_mean = 0, steps_per_s = 0, engine_frames_per_s = 0;
   std::uint64_t gaussians = 0, unpaired_views = 0;
 };

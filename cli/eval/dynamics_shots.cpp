@@ -10,6 +10,7 @@ namespace {
 
 constexpr int kMovingReach = 5;  // pixels, as far as a window of SSIM does
 constexpr int kShadowReach = 10;
+constexpr int kLeastPixels = 48;                    // of an object that is judged by itself
 constexpr double kGhostFrom_s = 2, kGhostTo_s = 4;  // after the object has vanished
 
 std::set<std::uint32_t> ids_of(const ObjectTransforms& objects) {
@@ -42,7 +43,7 @@ cv::Mat GhostMasks::take(std::size_t camera, double time_s, const ObjectTransfor
 
 void DynamicsShots::add(std::size_t sample, std::size_t camera, const ProbePicture& probe, const SceneLights* lights,
                         const Drawn& drawn) {
-  Shot shot{.sample = sample, .drawn = drawn, .moving = {}, .shadow = {}, .ghost = {}};
+  Shot shot{.sample = sample, .drawn = drawn, .moving = {}, .shadow = {}, .ghost = {}, .objects = {}};
   make_masks(camera, probe, lights, shot);
   shots_.push_back(std::move(shot));
 }
@@ -51,6 +52,10 @@ void DynamicsShots::make_masks(std::size_t camera, const ProbePicture& probe, co
   if (probe.object_id.empty()) return;
   Before now{.moving = mask_of(probe.object_id, ids_of(probe.scene.objects)), .lit = {}};
   shot.moving = grown(now.moving, kMovingReach);
+  for (const auto& [id, transform] : probe.scene.objects) {
+    cv::Mat mask = grown(mask_of(probe.object_id, {id}), 0);
+    if (cv::countNonZero(mask) >= kLeastPixels) shot.objects.emplace(id, std::move(mask));
+  }
   shot.ghost = ghosts_.take(camera, probe.time_s, probe.scene.objects, probe.object_id);
   const relight::LightMaps* const sun = lights != nullptr ? lights->front().maps.get() : nullptr;
   if (sun == nullptr || probe.depth.empty()) return;
@@ -62,10 +67,10 @@ void DynamicsShots::make_masks(std::size_t camera, const ProbePicture& probe, co
   before_[camera] = std::move(now);
 }
 
-MaskedFigures DynamicsShots::masked_figures(const cv::Mat& ssim_map, const Shot& shot) {
+MaskedFigures DynamicsShots::masked_figures(const cv::Mat& map, const Shot& shot) {
   MaskedFigures figures;
-  if (!shot.moving.empty()) figures.moving = masked_mean(ssim_map, shot.moving);
-  if (!shot.shadow.empty()) figures.shadow = masked_mean(ssim_map, shot.shadow);
+  if (!shot.moving.empty()) figures.moving = masked_mean(map, shot.moving);
+  if (!shot.shadow.empty()) figures.shadow = masked_mean(map, shot.shadow);
   return figures;
 }
 
@@ -78,7 +83,13 @@ std::optional<DrawnFigures> DynamicsShots::figures(const Shot& shot, const cv::M
   const double flip = metrics::flip(drawn, engine, metrics::kFlipPixelsPerDegree, &flip_map);
   DrawnFigures result{.whole = {.psnr_db = metrics::psnr(drawn, engine), .ssim = ssim, .flip = flip},
                       .masked = masked_figures(ssim_map, shot),
+                      .masked_psnr = {},
+                      .masked_flip = masked_figures(flip_map, shot),
+                      .object_ssim = {},
                       .ghost_flip = {}};
+  if (!shot.moving.empty()) result.masked_psnr.moving = masked_psnr(drawn, engine, shot.moving);
+  if (!shot.shadow.empty()) result.masked_psnr.shadow = masked_psnr(drawn, engine, shot.shadow);
+  for (const auto& [id, mask] : shot.objects) result.object_ssim[id] = *masked_mean(ssim_map, mask);
   if (!shot.ghost.empty()) result.ghost_flip = masked_mean(flip_map, shot.ghost);
   if (is_on && !sample.extra && window_.contains(sample.time_s)) {
     maps_[sample.camera].ssim.add(ssim_map);

@@ -15,7 +15,7 @@
 
 namespace splatbus::cli {
 
-/// SSIM over parts of a picture; nullopt where there is no such part.
+/// A figure over parts of a picture; nullopt where there is no such part.
 struct MaskedFigures {
   std::optional<double> moving;  ///< objects that can move, and 5 pixels around them
   std::optional<double> shadow;  ///< within 10 pixels of a shadow's edge that has moved since the camera's last picture
@@ -24,7 +24,8 @@ struct MaskedFigures {
 /// Figures of a drawn picture against the engine's.
 struct DrawnFigures {
   metrics::Quality whole;
-  MaskedFigures masked;
+  MaskedFigures masked, masked_psnr, masked_flip;  ///< SSIM, and the others
+  std::map<std::uint32_t, double> object_ssim;     ///< of objects that can move and show
   /// FLIP where an object was seen that vanished 2 to 4 s ago and nothing that can move is now.
   std::optional<double> ghost_flip;
 };
@@ -34,8 +35,9 @@ struct DynamicsSample {
   double time_s = 0;  ///< of the engine
   std::size_t camera = 0;
   std::uint64_t probe_id = 0;
-  bool paired = false;  ///< drawn with visibility of its own scene version
-  bool extra = false;   ///< of a round of one camera alone, for motion: it is not judged
+  bool paired = false;              ///< drawn with visibility of its own scene version
+  bool extra = false;               ///< of a round of one camera alone, for motion: it is not judged
+  std::set<std::uint32_t> objects;  ///< that can move and are there
   std::optional<DrawnFigures> on, off;
   MaskedFigures still;                     ///< the still scene's at the same pixels
   std::optional<double> still_ghost_flip;  ///< likewise
@@ -93,6 +95,7 @@ class DynamicsShots {
     std::size_t sample = 0;
     Drawn drawn;
     cv::Mat moving, shadow, ghost;  ///< masks; empty where they could not be had
+    std::map<std::uint32_t, cv::Mat> objects;
   };
   /// Masks of a camera's last picture: where something moves, and what the sun lights.
   struct Before {
@@ -103,7 +106,7 @@ class DynamicsShots {
   };
 
   void make_masks(std::size_t camera, const ProbePicture& probe, const SceneLights* lights, Shot& shot);
-  [[nodiscard]] static MaskedFigures masked_figures(const cv::Mat& ssim_map, const Shot& shot);
+  [[nodiscard]] static MaskedFigures masked_figures(const cv::Mat& map, const Shot& shot);
   [[nodiscard]] std::optional<DrawnFigures> figures(const Shot& shot, const cv::Mat& drawn,
                                                     const DynamicsSample& sample, bool is_on);
 

@@ -23,6 +23,7 @@ struct Shown {
   std::vector<TimedScene> scenes;           ///< the newest last
   std::shared_ptr<const SceneState> scene;  ///< the newest of all; not null
   std::size_t gaussians = 0;                ///< that are shown
+  std::uint64_t visibility_version = 0;     ///< newest scene version of any Gaussians' visibility
 };
 
 }  // namespace splatbus::viewer

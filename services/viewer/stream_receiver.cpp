@@ -109,6 +109,7 @@ void StreamReceiver::hand_over(bool changed) {
     shown_.batches.push_back(std::move(batch));
   }
   shown_.gaussians = replica.count();
+  shown_.visibility_version = replica.visibility_version();
   if (scene) {
     shown_.scene = scene;
     if (shown_.scenes.size() >= kMaxScenes) shown_.scenes.erase(shown_.scenes.begin());
@@ -126,6 +127,7 @@ bool StreamReceiver::take(Shown& shown) {
   shown = std::exchange(shown_, {});
   shown_.scene = shown.scene;
   shown_.gaussians = shown.gaussians;
+  shown_.visibility_version = shown.visibility_version;
   batch_rows_ = 0;
   return std::exchange(changed_, false);
 }

@@ -150,7 +150,10 @@ void Viewer::refresh_options() {
 
 bool Viewer::take() {
   const bool changed = receiver_.take(shown_);
-  for (TimedScene& state : shown_.scenes) playout_.add(std::move(state.scene), state.capture_ns, state.arrived_ns);
+  for (TimedScene& state : shown_.scenes) {
+    ages_.came(*state.scene, state.capture_ns);
+    playout_.add(std::move(state.scene), state.capture_ns, state.arrived_ns);
+  }
   shown_.scenes.clear();
   return painter_->take(shown_) || changed;
 }
@@ -192,6 +195,9 @@ bool Viewer::show(bool changed) {
     painter_->show(*window_, camera_, scene, time_s);
     draw_ms_ = static_cast<double>(bus::now_ns() - begin_ns) / 1e6;
   }
+  ages_.drawn(
+      scene,
+      {.shown_ns = playout_.shown_ns(), .finished_ns = bus::now_ns(), .visibility_version = shown_.visibility_version});
   if (first_picture_ns_ == 0) {
     first_picture_ns_ = bus::now_ns();
     spdlog::info("first picture, {} Gaussians", shown_.gaussians);
@@ -252,6 +258,18 @@ void Viewer::report() {
   if (status.scene_delays > 0) {
     host_.counter("scene_delay_ms_p50", status.scene_delay_ms_p50);
     host_.counter("scene_delay_ms_p99", status.scene_delay_ms_p99);
+  }
+  if (ages_.ages().count() > 0) {
+    host_.counter("picture_age_ms_p50", ages_.ages().quantile(0.5));
+    host_.counter("picture_age_ms_p99", ages_.ages().quantile(0.99));
+  }
+  if (ages_.object_changes().count() > 0) {
+    host_.counter("object_change_ms_p50", ages_.object_changes().quantile(0.5));
+    host_.counter("object_change_ms_max", ages_.object_changes().quantile(1));
+  }
+  if (ages_.visibility_leads().count() > 0) {
+    host_.counter("visibility_lead_ms_p50", ages_.visibility_leads().quantile(0.5));
+    host_.counter("visibility_lead_ms_p95", ages_.visibility_leads().quantile(0.95));
   }
   if (compared_ > 0) {
     host_.counter("psnr_db", last_quality_.psnr_db);

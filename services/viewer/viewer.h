@@ -15,6 +15,7 @@
 #include "stream/playout.h"
 #include "viewer/camera_path.h"
 #include "viewer/painter.h"
+#include "viewer/picture_age.h"
 #include "viewer/stream_receiver.h"
 #include "viewer/window.h"
 
@@ -89,6 +90,7 @@ class Viewer {
   StreamReceiver receiver_;
   Shown shown_;
   stream::Playout playout_;
+  PictureAges ages_;
   CameraPath path_;
   PathClock path_clock_;
   PathOptions path_options_;  ///< that path_ was asked for with

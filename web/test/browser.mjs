@@ -38,8 +38,11 @@ export async function serve(folders, posted = []) {
   return { url: `http://127.0.0.1:${server.address().port}`, close: () => server.close() };
 }
 
-/** Chromium with the software devices that it brings, so that WebGL2 and WebGPU both work without a GPU or a display. */
-export function launch() {
+/**
+ * Chromium with the software devices that it brings, so that WebGL2 and WebGPU both work without a GPU or a display.
+ * `more`: further arguments.
+ */
+export function launch(more = []) {
   return chromium.launch({
     executablePath: kChromium,
     headless: true,
@@ -51,6 +54,7 @@ export function launch() {
       '--enable-features=Vulkan',
       '--use-vulkan=swiftshader',
       '--disable-dev-shm-usage',
+      ...more,
     ],
   });
 }

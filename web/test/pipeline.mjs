@@ -20,8 +20,16 @@ export async function until(condition) {
   while (!(await condition())) await new Promise((resolve) => setTimeout(resolve, 50));
 }
 
-/** Of the toy scene that lives; `capture`: parameters of the capture-bridge. */
-export async function startPipeline(capture) {
+const serviceOf = ([name, parameters]) => `  - name: ${name}
+    program: splatbus-gateway
+    parameters: ${JSON.stringify({ web_root: site, ...parameters })}
+`;
+
+/**
+ * Of the toy scene that lives; `capture`: parameters of the capture-bridge. `gateways`: parameters of further ones besides
+ * the one that serves anybody here, by the names of their processes.
+ */
+export async function startPipeline(capture, gateways = {}) {
   const folder = mkdtempSync(join(tmpdir(), 'splatbus-live-'));
   const port = await freePort();
   const url = `http://127.0.0.1:${port}`;
@@ -39,7 +47,7 @@ services:
   - name: streamer
   - name: gateway
     parameters: {http: "127.0.0.1:${port}", web_root: "${site}"}
-`;
+${Object.entries(gateways).map(serviceOf).join('')}`;
   writeFileSync(join(folder, 'live.yaml'), services);
   const env = { ...process.env, XDG_STATE_HOME: join(folder, 'state') };  // log files
   const launched = spawn(join(bin, 'splatbus'), ['launch', join(folder, 'live.yaml'), '--bus', `ipc://${folder}/bus`], { stdio: ['ignore', 'pipe', 'pipe'], env });

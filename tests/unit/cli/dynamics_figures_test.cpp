@@ -56,6 +56,31 @@ TEST(DynamicsFigures, MaskGrowsRoundTheObjectsAndLeavesTheBorder) {
   }
 }
 
+TEST(DynamicsFigures, PsnrCountsTheMaskAlone) {
+  const cv::Mat reference(12, 12, CV_8UC3, cv::Scalar(100, 100, 100));
+  cv::Mat picture = reference.clone();
+  cv::Mat mask = cv::Mat::zeros(12, 12, CV_8UC1);
+  mask(cv::Rect(0, 0, 4, 12)).setTo(255);
+  picture(cv::Rect(0, 0, 2, 12)).setTo(cv::Scalar(110, 100, 90));  // half of it, 10 off in two of three channels
+  picture(cv::Rect(8, 0, 4, 12)).setTo(cv::Scalar(0, 0, 0));
+  EXPECT_NEAR(*masked_psnr(picture, reference, mask), 10 * std::log10(255 * 255 / (100.0 * 2 / 3 / 2)), 1e-4);
+  EXPECT_FALSE(masked_psnr(picture, reference, cv::Mat::zeros(12, 12, CV_8UC1)));
+}
+
+TEST(DynamicsFigures, AReturnIsJudgedByTheFirstPictureAfterIt) {
+  const std::vector<ObjectFigures> seen{
+      {.time_s = 1, .existing = {4, 7}, .of_object = {{4, 0.9}, {7, 0.8}}},
+      {.time_s = 2, .existing = {4, 7}, .of_object = {{4, 0.95}}},  // 7 is hidden: it has not gone
+      {.time_s = 3, .existing = {7}, .of_object = {{7, 0.7}}},
+      {.time_s = 4, .existing = {4, 7}, .of_object = {{7, 0.75}}},  // 4 is there, behind something
+      {.time_s = 5, .existing = {4, 7, 9}, .of_object = {{4, 0.85}, {9, 0.1}}},
+      {.time_s = 6, .existing = {4, 7, 9}, .of_object = {{4, 0.2}, {9, 0.2}}},
+  };
+  const std::vector<double> drops = return_drops(seen);
+  ASSERT_EQ(drops.size(), 1U);
+  EXPECT_NEAR(drops[0], 0.95 - 0.85, 1e-12);
+}
+
 TEST(DynamicsFigures, MotionResidualIsWhatOnlyOneOfThemChanges) {
   const auto picture = [](std::uint8_t left, std::uint8_t right) {
     cv::Mat of_two(1, 2, CV_8UC3);
