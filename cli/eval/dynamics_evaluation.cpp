@@ -27,12 +27,13 @@ Json figure(const std::optional<double>& value) {
   return value ? Json(rounded(*value)) : Json();
 }
 
-/// One figure of every sample that is judged and has it.
+/// One figure of every sample that is judged and has it. Of a picture whose own visibility this process did not come by
+/// in time, what was drawn is of two instants: it says nothing.
 template <class Get>
 std::vector<TimedFigure> series(const DynamicsResults& results, Get get) {
   std::vector<TimedFigure> figures;
   for (const DynamicsSample& sample : results.samples) {
-    if (sample.extra) continue;
+    if (sample.extra || !sample.paired) continue;
     if (const std::optional<double> value = get(sample)) figures.push_back({sample.time_s, *value});
   }
   return figures;

@@ -75,6 +75,7 @@ void Follower::take_probe_picture(const ParsedPacket& packet) {
   ProbeAnswer answer{.probe_id = body.probe_id(),
                      .camera = from_wire(*body.camera()),
                      .scene = {.light = from_wire(*body.light()), .objects = from_wire(body.objects())},
+                     .capture_ns = packet.capture_ns(),
                      .rgba = {}};
   const std::size_t bytes = std::size_t{answer.camera.width} * answer.camera.height * 4;
   if (bytes > kMaxPictureBytes || body.raw_bytes() != bytes) {

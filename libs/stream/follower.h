@@ -33,6 +33,7 @@ struct ProbeAnswer {
   std::uint64_t probe_id = 0;
   Camera camera;
   SceneState scene;
+  std::int64_t capture_ns = 0;     ///< by the engine's clock; 0: nobody knows
   std::vector<std::uint8_t> rgba;  ///< [height][width][4]
 };
 

@@ -262,17 +262,17 @@ void Streamer::forward_probe(const wire::CaptureProbe& body, const bus::Message&
   if (!color) return;
   stream::Bytes rgba(color->bytes());
   if (!color->copy(rgba.data())) return;
-  hub_.send_probe_picture(body.probe_id(), writer_.write(
-                                               model_.status().epoch, 0, wire::Body::ProbePicture,
-                                               [&](auto& builder) {
-                                                 const auto objects_offset = to_wire(builder, scene.objects);
-                                                 const auto light_offset = to_wire(builder, scene.light);
-                                                 return wire::CreateProbePicture(
-                                                     builder, body.probe_id(), body.camera(),
-                                                     static_cast<std::uint32_t>(rgba.size()), objects_offset,
-                                                     light_offset);
-                                               },
-                                               stream::zstd_compress(rgba, kPictureZstdLevel)));
+  hub_.send_probe_picture(body.probe_id(),
+                          writer_.write(
+                              model_.status().epoch, 0, wire::Body::ProbePicture,
+                              [&](auto& builder) {
+                                const auto objects_offset = to_wire(builder, scene.objects);
+                                const auto light_offset = to_wire(builder, scene.light);
+                                return wire::CreateProbePicture(builder, body.probe_id(), body.camera(),
+                                                                static_cast<std::uint32_t>(rgba.size()), objects_offset,
+                                                                light_offset);
+                              },
+                              stream::zstd_compress(rgba, kPictureZstdLevel), body.header()->capture_ns()));
 }
 
 void Streamer::begin_tick(std::int64_t now_ns) {

@@ -46,9 +46,8 @@ void PictureAges::drawn(const SceneState& scene, const Picture& picture) {
     return true;
   });
   if (std::exchange(visibility_version_, picture.visibility_version) == picture.visibility_version) return;
-  const auto captured = captured_ns_.find(picture.visibility_version);
-  if (captured == captured_ns_.end() || picture.shown_ns == 0) return;
-  visibility_leads_.add(ms_between(picture.shown_ns, captured->second));
+  const std::int64_t captured = captured_ns(picture.visibility_version);
+  if (captured > 0 && picture.shown_ns > 0) visibility_leads_.add(ms_between(picture.shown_ns, captured));
 }
 
 }  // namespace splatbus::viewer

@@ -11,16 +11,22 @@
 
 namespace splatbus::viewer {
 
-/// How long what pictures show takes from the engine's frame until a picture with it is finished. Means something on the
-/// engine's machine only, with CLOCK_MONOTONIC as clock. One thread.
+/// How long what pictures show takes from the engine's frame until a picture with it is finished. Means something on
+/// the engine's machine only, with CLOCK_MONOTONIC as clock. One thread.
 class PictureAges {
  public:
   /// A state of the scene has arrived, by ascending time; `capture_ns` is 0 where nobody knows when it was.
   void came(const SceneState& scene, std::int64_t capture_ns);
 
+  /// When the scene of this version was, by the engine's clock; 0: nobody knows.
+  [[nodiscard]] std::int64_t captured_ns(std::uint64_t scene_version) const {
+    const auto found = captured_ns_.find(scene_version);
+    return found != captured_ns_.end() ? found->second : 0;
+  }
+
   struct Picture {
-    std::int64_t shown_ns = 0;             ///< instant of the scene that is drawn, by the engine's clock; 0: nobody knows
-    std::int64_t finished_ns = 0;          ///< by the viewer's
+    std::int64_t shown_ns = 0;     ///< instant of the scene that is drawn, by the engine's clock; 0: nobody knows
+    std::int64_t finished_ns = 0;  ///< by the viewer's
     std::uint64_t visibility_version = 0;  ///< scene version of the newest visibility that is drawn
   };
   void drawn(const SceneState& scene, const Picture& picture);

@@ -22,7 +22,8 @@ namespace fs = std::filesystem;
 
 constexpr std::int64_t kSecondNs = 1'000'000'000;
 constexpr std::int64_t kLongestWaitNs = 50'000'000;
-constexpr std::int64_t kIdleWindowNs = 5'000'000;  // until mouse and keys are looked at again
+constexpr std::int64_t kProbePatienceNs = 150'000'000;  // for visibility, which comes some 20 times a second
+constexpr std::int64_t kIdleWindowNs = 5'000'000;       // until mouse and keys are looked at again
 
 ClientOptions client_options(const Options& options, const ViewerHost& host) {
   return {.endpoint = host.endpoint,
@@ -229,10 +230,22 @@ void Viewer::ask_probe(std::int64_t now_ns) {
   receiver_.send_probe(next_probe_id_++, camera_);
 }
 
+bool Viewer::sees_as_probe(const ProbeAnswer& probe) const {
+  if (probe.capture_ns == 0 || bus::now_ns() - probe_since_ns_ > kProbePatienceNs) return true;
+  // Nothing has changed since: there is none to come.
+  if (shown_.visibility_version >= shown_.scene->version) return true;
+  return ages_.captured_ns(shown_.visibility_version) >= probe.capture_ns;
+}
+
 void Viewer::answer_probes() {
   // One a turn: packets are taken in between. Without a model there is nothing to compare.
-  const std::optional<ProbeAnswer> probe = receiver_.take_probe_answer();
-  if (!probe || shown_.gaussians == 0) return;
+  if (!probe_) {
+    probe_ = receiver_.take_probe_answer();
+    probe_since_ns_ = bus::now_ns();
+  }
+  if (!probe_ || (shown_.gaussians > 0 && !sees_as_probe(*probe_))) return;
+  const std::optional<ProbeAnswer> probe = std::exchange(probe_, std::nullopt);
+  if (shown_.gaussians == 0) return;
   const cv::Mat picture = draw(probe->camera, probe->scene);
   const cv::Mat reference = metrics::from_rgba(probe->rgba.data(), probe->camera.width, probe->camera.height);
   last_quality_ = metrics::compare(picture, reference);

@@ -80,6 +80,8 @@ class Viewer {
   /// Takes over parameters that have changed.
   void refresh_options();
   void answer_probes();
+  /// Whether the visibility that is held is that of the probe's instant, or it does not come.
+  [[nodiscard]] bool sees_as_probe(const ProbeAnswer& probe) const;
   void ask_probe(std::int64_t now_ns);
   /// Counts and says what cannot be written: a full disk ends nobody.
   void write_picture(const std::string& name, const cv::Mat& picture);
@@ -104,6 +106,8 @@ class Viewer {
   bus::LogLimiter log_limiter_;
   metrics::Quality last_quality_;
   double draw_ms_ = 0;
+  std::optional<ProbeAnswer> probe_;  ///< that is to be answered
+  std::int64_t probe_since_ns_ = 0;
 };
 
 }  // namespace splatbus::viewer
