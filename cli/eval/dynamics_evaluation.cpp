@@ -27,16 +27,21 @@ Json figure(const std::optional<double>& value) {
   return value ? Json(rounded(*value)) : Json();
 }
 
-/// One figure of every sample that is judged and has it. Of a picture whose own visibility this process did not come by
-/// in time, what was drawn is of two instants: it says nothing.
 template <class Get>
-std::vector<TimedFigure> series(const DynamicsResults& results, Get get) {
+std::vector<TimedFigure> series_of(const DynamicsResults& results, bool paired_alone, Get get) {
   std::vector<TimedFigure> figures;
   for (const DynamicsSample& sample : results.samples) {
-    if (sample.extra || !sample.paired) continue;
+    if (sample.extra || (paired_alone && !sample.paired)) continue;
     if (const std::optional<double> value = get(sample)) figures.push_back({sample.time_s, *value});
   }
   return figures;
+}
+
+/// One figure of every sample that is judged and has it. Where this process did not come by a picture's own visibility
+/// in time, what it drew is of two instants and says nothing.
+template <class Get>
+std::vector<TimedFigure> series(const DynamicsResults& results, Get get) {
+  return series_of(results, true, get);
 }
 
 template <class Get>
@@ -64,6 +69,10 @@ auto of_part(std::optional<DrawnFigures> DynamicsSample::*drawn, Part part) {
 std::optional<double> viewer_ssim(const DynamicsSample& sample) {
   if (!sample.viewer) return {};
   return sample.viewer->ssim;
+}
+
+std::vector<TimedFigure> viewer_series(const DynamicsResults& results) {
+  return series_of(results, false, viewer_ssim);
 }
 
 /// By how much the same pixels are better in the still scene, of the pictures that have both.
@@ -242,7 +251,7 @@ void write_motion_sheet(const DynamicsResults& results, const fs::path& path) {
 Json summarize_still(const DynamicsResults& still) {
   return {{"still_ssim", mean(still, of_drawn(&DynamicsSample::on, &metrics::Quality::ssim))},
           {"still_flip", mean(still, of_drawn(&DynamicsSample::on, &metrics::Quality::flip))},
-          {"still_ssim_viewer", mean(still, viewer_ssim)},
+          {"still_ssim_viewer", figure(mean_within(viewer_series(still), still.window))},
           {"still_motion_residual", figure(mean_residual(still))}};
 }
 
@@ -265,8 +274,8 @@ Json summarize_living(const DynamicsResults& living) {
       {"shadow_ssim", mean(living, of_part(on, &MaskedFigures::shadow))},
       {"shadow_ssim_off", mean(living, of_part(off, &MaskedFigures::shadow))},
       {"shadow_ssim_drop", mean(living, drop_of(&MaskedFigures::shadow))},
-      {"ssim_viewer", mean(living, viewer_ssim)},
-      {"ssim_viewer_worst_second", figure(worst_second(series(living, viewer_ssim), living.window))},
+      {"ssim_viewer", figure(mean_within(viewer_series(living), living.window))},
+      {"ssim_viewer_worst_second", figure(worst_second(viewer_series(living), living.window))},
       {"state_delay_ms_median", figure(living.state_delay_ms_median)},
       {"state_delay_ms_p99", figure(living.state_delay_ms_p99)},
       {"picture_age_ms_median", figure(living.picture_age_ms_median)},

@@ -58,3 +58,18 @@ export function launch(more = []) {
     ],
   });
 }
+
+/** Every picture that the page comes to show from now on; call what this returns for them, as PNG. */
+export async function filmed(page) {
+  const session = await page.context().newCDPSession(page);
+  const pictures = [];
+  session.on('Page.screencastFrame', ({ data, sessionId }) => {
+    pictures.push(Buffer.from(data, 'base64'));
+    session.send('Page.screencastFrameAck', { sessionId }).catch(() => {}); // the page may be closed
+  });
+  await session.send('Page.startScreencast', { format: 'png' });
+  return async () => {
+    await session.send('Page.stopScreencast');
+    return pictures;
+  };
+}
