@@ -7,6 +7,7 @@ import type { SceneBatch, Sorted, ToSortWorker } from './stream/messages';
 import { make } from './ui/dom';
 
 const kStillEveryMs = 2000;
+const kStillQuality = 0.95;
 
 /**
  * What draws, and what it is fed by. A device or a sorter that is lost is replaced, and everything asked for again; until
@@ -14,10 +15,16 @@ const kStillEveryMs = 2000;
  */
 export class Stage {
   readonly element = make('div', { class: 'stage', tabindex: '0', role: 'application' });
-  readonly #still = make('canvas', { hidden: '' });
+  /**
+   * Beneath the canvas that draws: it is there at the moment when that one shows nothing any more. No canvas itself, for all
+   * of a page's go with the GPU's process.
+   */
+  readonly #still = make('img', { class: 'still', alt: '', decoding: 'sync', hidden: '' });
   readonly #backoff = new Backoff(0.25, 8);
   #canvas = make('canvas');
   #renderer: Renderer | null = null;
+  /** The renderer has rows: before that it would draw a background alone. */
+  #fed = false;
   #sorter: Worker | null = null;
   #sorting = false;
   #view: Float64Array | null = null;
@@ -43,8 +50,6 @@ export class Stage {
     private readonly say: (problem: 'lost' | 'found' | { missing: string }) => void,
   ) {
     this.element.append(this.#still);
-    // Kept in memory: what a lost device does not take along.
-    this.#still.getContext('2d', { willReadFrequently: true, alpha: false });
   }
 
   get renderer(): Renderer | null {
@@ -66,15 +71,17 @@ export class Stage {
     }
     this.#canvas.remove();
     this.#canvas = canvas;
-    this.element.prepend(canvas);
+    canvas.hidden = true;
+    this.element.append(canvas);
     this.#renderer = renderer;
+    this.#fed = false;
     this.say('found');
     void renderer.lost.then((reason) => {
       if (this.#renderer !== renderer) return;
       console.warn(reason);
       this.#uploadedBefore += renderer.uploaded.rows;
       this.#renderer = null;
-      this.#still.hidden = !this.standing;
+      canvas.hidden = true;
       this.say('lost');
       setTimeout(() => void this.start(), 1000 * this.#backoff.seconds());
     });
@@ -87,7 +94,7 @@ export class Stage {
     this.wanted = api;
     const before = this.#renderer;
     this.#renderer = null;
-    this.#still.hidden = !this.standing;
+    this.#canvas.hidden = true;
     before?.dispose();
     await this.start();
     return this.#renderer;
@@ -158,6 +165,7 @@ export class Stage {
       this.#playout.add(batch.scene.transforms, batch.time);
     }
     this.taken(this.#batches.length);
+    if (this.#batches.length > 0) this.#fed = true;
     this.#batches = [];
     if (this.#order) renderer.setOrder(this.#order);
     this.#order = null;
@@ -182,16 +190,20 @@ export class Stage {
 
   draw(frame: Frame, atRest: boolean): void {
     const renderer = this.#renderer;
-    if (!renderer) return;
+    if (!renderer || !this.#fed) return;
     renderer.draw(frame);
-    if (!this.standing) return;
-    this.#still.hidden = true;
+    this.#canvas.hidden = false;
     this.#backoff.reset();
     const now = performance.now();
     if (!atRest && now - this.#stillAt < kStillEveryMs) return;
     this.#stillAt = now;
-    this.#still.width = this.#canvas.width;
-    this.#still.height = this.#canvas.height;
-    this.#still.getContext('2d')?.drawImage(this.#canvas, 0, 0);
+    this.#canvas.toBlob((blob) => blob && this.#keep(blob), 'image/jpeg', kStillQuality);
+  }
+
+  #keep(picture: Blob): void {
+    const before = this.#still.src;
+    this.#still.src = URL.createObjectURL(picture);
+    this.#still.hidden = false;
+    if (before) URL.revokeObjectURL(before);
   }
 }

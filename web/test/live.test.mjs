@@ -1,10 +1,14 @@
 // The page before a real pipeline: compared with the engine, together with others, and while services are killed.
 import assert from 'node:assert/strict';
 import { after, before, test } from 'node:test';
-import { launch } from './browser.mjs';
+import { filmed, launch } from './browser.mjs';
 import { startPipeline, until } from './pipeline.mjs';
+import { colorsIn, readPng } from './png.mjs';
+import { letTrap, trapIn } from './trapping.mjs';
 
 const kCapture = { input_cameras: 8, input_size: 64, sample_budget: 6000, reference_cameras: 4, reference_size: 64, reference_rate_hz: 1 };
+/** Of the page's 320 x 200 pixels, those that no words cover. */
+const kMiddle = { x: 60, y: 40, width: 200, height: 80 };
 let browser;
 let pipeline;
 let page;
@@ -18,6 +22,7 @@ before(async () => {
   page.setDefaultTimeout(90_000);
   page.on('request', (request) => asked.push(request.url()));
   page.on('pageerror', (error) => errors.push(String(error)));
+  await letTrap(page, 'stream_worker.js');
 });
 after(async () => {
   await browser?.close();
@@ -112,4 +117,22 @@ test('the engine is killed: the picture stands, and lives again with another', a
   await pipeline.restarted('engine');
   await standsUntil((now, then) => now.sceneVersion > then && now.missing === 0, (await figures()).sceneVersion);
   assert.deepEqual(errors, []);
+});
+
+// In what comes through the WebSocket, what the page says, and what it is given.
+for (const called of ['receive', 'set_pose', 'take_changes']) {
+  test(`a trap in the stream worker's ${called}(): another follows the stream, and the picture stands`, async () => {
+    const film = await filmed(page);
+    const { bytes } = await figures();
+    await trapIn(page, called);
+    await page.waitForFunction((before) => window.splatbus.figures.bytes < before, bytes); // counted anew
+    await page.waitForFunction(() => window.splatbus.connection === 'open' && window.splatbus.figures.gaussians > 1000 && window.splatbus.figures.missing === 0);
+    await standsUntil((now, then) => now.sequence > then, (await figures()).sequence);
+    const colors = (await film()).map((picture) => colorsIn(readPng(picture), kMiddle));
+    assert.ok(Math.min(...colors) > 0.5 * colors[0], `${colors} colors`);
+  });
+}
+
+test('the traps are all that went wrong', () => {
+  assert.ok(errors.every((error) => error === 'RuntimeError: memory access out of bounds'), `${errors}`);
 });

@@ -5,6 +5,8 @@ import { loadWasm, Sorter } from './wasm';
 const scope = self as unknown as WorkerScope<ToSortWorker, Sorted>;
 const loaded = loadWasm('splatbus.wasm').then((wasm) => new Sorter(wasm));
 let view: Float32Array | null = null;
+/** Something has come: before that an order would be of no rows, and take away the picture that stands. */
+let begun = false;
 let capacity = 0;
 let waiting: SceneBatch[] = [];
 let due = false;
@@ -12,7 +14,7 @@ let due = false;
 const turn = new MessageChannel();
 
 function sortSoon(): void {
-  if (due || !view) return;
+  if (due || !view || !begun) return;
   due = true;
   turn.port2.postMessage(null);
 }
@@ -23,6 +25,7 @@ function apply(sorter: Sorter, batch: SceneBatch): void {
   sorter.update(capacity, rows, records);
   sorter.setTransforms(batch.scene.transforms, batch.scene.farField);
   waiting.push(batch);
+  begun = true;
   sortSoon();
 }
 

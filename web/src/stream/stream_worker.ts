@@ -170,7 +170,7 @@ class Stream {
 let stream: Promise<Stream> | null = null;
 scope.onmessage = ({ data }) => {
   const failed = (error: unknown): void => scope.postMessage({ kind: 'failed', reason: String(error) });
-  if (data.kind === 'start') stream = loadWasm('splatbus.wasm').then((wasm) => new Stream(wasm, data));
-  else void stream?.then((running) => running.take(data)).catch(() => {});
-  if (data.kind === 'start') stream?.catch(failed);
+  // A promise would keep to itself what went wrong: a module that has trapped is not to be called again.
+  if (data.kind !== 'start') void stream?.then((running) => running.take(data)).catch(failed);
+  else (stream = loadWasm('splatbus.wasm').then((wasm) => new Stream(wasm, data))).catch(failed);
 };
