@@ -18,7 +18,8 @@ const errors = [];
 before(async () => {
   pipeline = await startPipeline(kCapture);
   browser = await launch();
-  page = await browser.newPage({ viewport: { width: 320, height: 200 } });
+  // A script that a test has added to comes from nowhere, for the browser, and may otherwise not speak to this machine.
+  page = await browser.newPage({ viewport: { width: 320, height: 200 }, permissions: ['local-network-access'] });
   page.setDefaultTimeout(90_000);
   page.on('request', (request) => asked.push(request.url()));
   page.on('pageerror', (error) => errors.push(String(error)));
