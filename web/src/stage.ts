@@ -162,7 +162,7 @@ export class Stage {
       renderer.apply(batch.update);
       renderer.recolor(batch.colors);
       this.scene = batch.scene;
-      this.#playout.add(batch.scene.transforms, batch.time);
+      this.#playout.add(batch.scene, batch.time);
     }
     this.taken(this.#batches.length);
     if (this.#batches.length > 0) this.#fed = true;
@@ -173,10 +173,10 @@ export class Stage {
     return true;
   }
 
-  /** The scene with its objects where they are to be seen now. */
+  /** The scene with its objects where they are to be seen now, before the background of then. */
   sceneAt(nowMs: number): Scene {
-    const transforms = this.#playout.at(nowMs);
-    return transforms ? { ...this.scene, transforms } : this.scene;
+    const played = this.#playout.at(nowMs);
+    return played ? { ...this.scene, transforms: played.transforms, background: played.background } : this.scene;
   }
   /** Rows still fade, or an object is on its way to where it was last. */
   movingAt(nowMs: number): boolean {

@@ -53,7 +53,7 @@ test('the picture is the engine\'s of the same view', async () => {
   await firefox.press('\uE010'); // End
   const splats = await picture();
   const [upright, upsideDown] = [psnr(engine, splats), psnr(engine, splats, true)];
-  assert.ok(upright > 18 && upright > upsideDown + 3, `PSNR ${upright}, ${upsideDown} upside down`);
+  assert.ok(upright > 15 && upright > upsideDown + 5, `PSNR ${upright}, ${upsideDown} upside down`);
   await firefox.press('c');
 });
 

@@ -13,6 +13,8 @@ const ball = (ms) => {
   return new Float32Array([1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 1, 0, 0, Math.cos(angle), 0, 1, 0, 0, 0, 0, 1, Math.sin(angle)]);
 };
 
+const sceneOf = (transforms, background = [0, 0, 0]) => ({ transforms, background });
+
 /** Between 0 and 1, the same for the same seed. */
 const randomOf = (seed) => () => (seed = (seed * 16807) % 2147483647) / 2147483647;
 
@@ -38,9 +40,9 @@ for (const [jitterMs, seed] of [[0, 1], ...Array.from({ length: 20 }, (_, k) => 
       const now = (1000 * frame) / 60 + 3;
       while (next < scenes.length && scenes[next].arrival <= now) {
         const { ms, arrival } = scenes[next++];
-        playout.add(ball(ms), { captureMs: kEngineAheadMs + ms, arrivedMs: arrival });
+        playout.add(sceneOf(ball(ms)), { captureMs: kEngineAheadMs + ms, arrivedMs: arrival });
       }
-      const at = playout.at(now);
+      const at = playout.at(now)?.transforms;
       if (!at) continue;
       const shown = playout.shownMs(now) - kEngineAheadMs;
       ++judged;
@@ -59,8 +61,8 @@ for (const [jitterMs, seed] of [[0, 1], ...Array.from({ length: 20 }, (_, k) => 
 
 test('a motion goes on for a tenth of a second without scenes, and rests then', () => {
   const playout = new logic.Playout();
-  for (const ms of [1000, 1033, 1066]) playout.add(ball(ms), { captureMs: ms, arrivedMs: ms });
-  const at = (ms) => playout.at(ms)[23];
+  for (const ms of [1000, 1033, 1066]) playout.add(sceneOf(ball(ms)), { captureMs: ms, arrivedMs: ms });
+  const at = (ms) => playout.at(ms).transforms[23];
   const before = at(1100);
   assert.ok(at(1150) < before, 'it goes on'); // towards negative z
   assert.ok(playout.movingAt(1150));
@@ -70,21 +72,53 @@ test('a motion goes on for a tenth of a second without scenes, and rests then', 
 
 test('an engine whose clock is behind is followed as the first was', () => {
   const playout = new logic.Playout();
-  for (let ms = 0; ms < 1000; ms += 33) playout.add(ball(ms), { captureMs: 50_000 + ms, arrivedMs: ms });
-  for (let ms = 1000; ms < 2000; ms += 33) playout.add(ball(ms), { captureMs: ms, arrivedMs: ms });
+  for (let ms = 0; ms < 1000; ms += 33) playout.add(sceneOf(ball(ms)), { captureMs: 50_000 + ms, arrivedMs: ms });
+  for (let ms = 1000; ms < 2000; ms += 33) playout.add(sceneOf(ball(ms)), { captureMs: ms, arrivedMs: ms });
   const shown = playout.shownMs(2000);
   assert.ok(shown > 1800 && shown <= 2000, `${shown}`);
   const truth = ball(shown);
-  const at = playout.at(2000);
+  const at = playout.at(2000).transforms;
   assert.ok(Math.hypot(at[15] - truth[15], at[23] - truth[23]) < 0.01);
 });
 
 test('what is hidden does not come from where it was', () => {
   const playout = new logic.Playout();
   const hidden = ball(0).fill(0, 12);
-  playout.add(hidden, { captureMs: 1000, arrivedMs: 1000 });
-  playout.add(ball(500), { captureMs: 1033, arrivedMs: 1033 });
-  assert.deepEqual([...playout.at(1050).slice(12)], [...ball(500).slice(12)]);
+  playout.add(sceneOf(hidden), { captureMs: 1000, arrivedMs: 1000 });
+  playout.add(sceneOf(ball(500)), { captureMs: 1033, arrivedMs: 1033 });
+  assert.deepEqual([...playout.at(1050).transforms.slice(12)], [...ball(500).slice(12)]);
+});
+
+test('the light of the background is that of the time played out, and does not go on beyond the last scene', () => {
+  // A second's dawn: red comes, blue goes, in scenes of 30 a second, which come 12 ms late and in turn 8 ms later.
+  const dawn = (ms) => [ms / 1000, 0.25, 1 - ms / 1000];
+  const playout = new logic.Playout();
+  const kEngineAheadMs = 5000;
+  let next = 0;
+  let steps = 0;
+  let before = -1;
+  for (let now = 0; now < 1100; now += 1000 / 144) {
+    for (; next <= 30 && (1000 * next) / 30 + 12 + 8 * (next % 2) <= now; ++next) {
+      const ms = (1000 * next) / 30;
+      playout.add(sceneOf(ball(0), dawn(ms)), { captureMs: kEngineAheadMs + ms, arrivedMs: ms + 12 + 8 * (next % 2) });
+    }
+    const played = playout.at(now);
+    if (!played) continue;
+    const truth = dawn(Math.min(playout.shownMs(now) - kEngineAheadMs, 1000));
+    played.background.forEach((value, k) => assert.ok(Math.abs(value - truth[k]) < 1e-6, `${now} ms: ${played.background}, ${truth}`));
+    assert.ok(played.background[0] >= before);
+    if (played.background[0] > before) ++steps;
+    before = played.background[0];
+    if (now > 200 && now < 900) assert.ok(playout.movingAt(now), 'it is to be drawn again');
+  }
+  assert.ok(steps > 130, `${steps} steps`); // not one a scene
+});
+
+test('an object whose rows come later than its scene is there with them', () => {
+  const playout = new logic.Playout();
+  playout.add(sceneOf(ball(0).slice(0, 12)), { captureMs: 1000, arrivedMs: 1000 });
+  playout.add(sceneOf(ball(0)), { captureMs: 1000, arrivedMs: 1000 });
+  assert.deepEqual([...playout.at(1050).transforms], [...ball(0)]);
 });
 
 const record = (opacity, color = 7) => [0, 0, 0, 0, 0, 0, opacity, color];

@@ -1,5 +1,5 @@
-import { clamp, kTransformFloats } from '../math';
-import type { SceneTime } from '../records';
+import { clamp, kTransformFloats, mix } from '../math';
+import type { Scene, SceneTime } from '../records';
 
 /** Scenes that are kept, for the ones between which it is now, and for how late they come. */
 const kKept = 16;
@@ -14,15 +14,17 @@ const kShrink = 0.02;
 const kSlower = 0.5;
 const kFaster = 0.02;
 
-interface Kept {
+/** Of a scene, what is another at every instant. */
+export type Played = Pick<Scene, 'transforms' | 'background'>;
+
+interface Kept extends Played {
   readonly captureMs: number;
-  readonly transforms: Float32Array;
   readonly moved: boolean;
 }
 
 /**
- * Objects where they were a little while ago, between the scenes that say so, in every frame of the display. By the
- * clock of the engine; the page's is brought to it by the scene that came fastest, and the delay is as long as the others
+ * Objects where they were a little while ago, and the background as it was, between the scenes that say so, in every frame
+ * of the display. By the clock of the engine; the page's is brought to it by the scene that came fastest, and the delay is as long as the others
  * are later and a scene lasts.
  */
 export class Playout {
@@ -34,7 +36,7 @@ export class Playout {
   /** By the engine's clock; null: nothing has been shown yet. */
   #shown: number | null = null;
 
-  add(transforms: Float32Array, { captureMs, arrivedMs }: SceneTime): void {
+  add({ transforms, background }: Played, { captureMs, arrivedMs }: SceneTime): void {
     if (captureMs <= 0) {
       this.#kept = []; // nobody knows when it was
       return;
@@ -46,15 +48,20 @@ export class Playout {
       this.#shown = null;
       last = undefined;
     }
-    if (last && captureMs === last.captureMs) return;
+    if (last && captureMs === last.captureMs) {
+      this.#kept[this.#kept.length - 1] = { ...last, transforms, background }; // with objects of which rows have come since
+      return;
+    }
     this.#offsets.push(captureMs - arrivedMs);
     if (this.#offsets.length > 4 * kKept) this.#offsets.shift();
     const late = Math.max(...this.#offsets.slice(-kKept).map((offset) => this.#offset() - offset));
     const lasts = last && captureMs - last.captureMs < kGapMs ? captureMs - last.captureMs : 0;
     const needed = Math.min(late + lasts, kMostDelayMs);
     this.#delayMs = Math.max(needed, this.#delayMs + kShrink * (needed - this.#delayMs));
-    const moved = last !== undefined && transforms.some((value, i) => value !== last.transforms[i]);
-    this.#kept.push({ captureMs, transforms, moved });
+    const moved =
+      last !== undefined &&
+      (transforms.some((value, i) => value !== last.transforms[i]) || background.some((value, i) => value !== last.background[i]));
+    this.#kept.push({ captureMs, transforms, background, moved });
     if (this.#kept.length > kKept) this.#kept.shift();
   }
 
@@ -72,18 +79,18 @@ export class Playout {
     return this.#shown;
   }
 
-  /** world_from_object of every object; null where nothing is known, and the newest scene is to be shown. */
-  at(nowMs: number): Float32Array | null {
+  /** Null where nothing is known, and the newest scene is to be shown. */
+  at(nowMs: number): Played | null {
     const kept = this.#kept;
     const last = kept.at(-1);
     if (!last) return null;
     const shown = Math.min(this.shownMs(nowMs), this.#end());
     let next = kept.findIndex(({ captureMs }) => captureMs >= shown);
-    if (next === 0) return kept[0].transforms;
+    if (next === 0) return kept[0];
     if (next < 0) next = kept.length - 1; // beyond the last: as between the two before
     const [from, to] = [kept[next - 1], kept[next]];
-    if (!from || to.captureMs - from.captureMs > kGapMs) return shown >= to.captureMs || !from ? to.transforms : from.transforms;
-    return between(from.transforms, to.transforms, (shown - from.captureMs) / (to.captureMs - from.captureMs));
+    if (!from || to.captureMs - from.captureMs > kGapMs) return shown >= to.captureMs || !from ? to : from;
+    return between(from, to, (shown - from.captureMs) / (to.captureMs - from.captureMs));
   }
 
   /** Whether at() may give something else soon though no scene arrives. */
@@ -103,8 +110,14 @@ export class Playout {
   }
 }
 
+/** Beyond 1 objects go on along the same way, and the light, which cannot be less than none, does not. */
+function between(from: Played, to: Played, part: number): Played {
+  const [r, g, b] = [0, 1, 2].map((k) => mix(from.background[k], to.background[k], Math.min(part, 1)));
+  return { transforms: transformsBetween(from.transforms, to.transforms, part), background: [r, g, b] };
+}
+
 /** Of what is hidden in one of the two, or not yet there, the later. */
-function between(from: Float32Array, to: Float32Array, part: number): Float32Array {
+function transformsBetween(from: Float32Array, to: Float32Array, part: number): Float32Array {
   const out = to.slice();
   for (let at = 0; at < to.length && at + kTransformFloats <= from.length; at += kTransformFloats) {
     const hidden = (of: Float32Array): boolean => of[at] === 0 && of[at + 1] === 0 && of[at + 2] === 0;
