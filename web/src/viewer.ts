@@ -123,7 +123,8 @@ export class Viewer {
   start(): void {
     void this.stage.start();
     this.link.start();
-    this.stage.element.focus({ preventScroll: true });
+    // Nobody has asked to see where it is.
+    this.stage.element.focus({ preventScroll: true, focusVisible: false } as FocusOptions);
     const tick = (nowMs: number): void => {
       requestAnimationFrame(tick);
       if (!this.extras.immersion) this.#tick(nowMs);

@@ -2,6 +2,7 @@
 import assert from 'node:assert/strict';
 import { test } from 'node:test';
 import { goal, kPage, kStart, opened, reaches } from './opened_page.mjs';
+import { readPng } from './png.mjs';
 
 test('keys fly and turn, F shows all', () =>
   opened(kPage, async (page) => {
@@ -75,15 +76,108 @@ test('one finger orbits, two pinch and pan, a stick moves', () =>
     { hasTouch: true },
   ));
 
+test('two fingers pan, and pinch while they do', () =>
+  opened(
+    kPage,
+    async (page) => {
+      const session = await page.context().newCDPSession(page);
+      const touch = (type, ...points) =>
+        session.send('Input.dispatchTouchEvent', { type, touchPoints: points.map(([x, y], id) => ({ x, y, id })) });
+      const metresAPixel = kStart.distance / (200 / (2 * Math.tan(Math.PI / 6)));
+      await touch('touchStart', [140, 90], [180, 110]);
+      // What is under the fingers follows them: the camera goes the other way, to its left.
+      await touch('touchMove', [170, 90], [210, 110]);
+      const right = [Math.sin(kStart.yaw), 0, -Math.cos(kStart.yaw)];
+      await page.waitForFunction(
+        (wanted) => Math.hypot(...window.splatbus.rig.goal.target.map((value, k) => value - wanted[k])) < 1e-6,
+        right.map((value) => -30 * metresAPixel * value),
+      );
+      await reaches(page, { distance: kStart.distance, yaw: kStart.yaw, pitch: kStart.pitch });
+      // Half as far apart, and 15 pixels back.
+      await touch('touchMove', [165, 95], [185, 105]);
+      await touch('touchEnd');
+      await reaches(page, { distance: 2 * kStart.distance, yaw: kStart.yaw });
+      const { target } = await goal(page);
+      assert.ok(Math.abs(Math.hypot(...target) - 15 * metresAPixel) < 1e-6, `${target}`);
+    },
+    { hasTouch: true },
+  ));
+
+test('V and the menu fill the screen, and leave it again', () =>
+  opened(kPage, async (page) => {
+    const filled = (is) => page.waitForFunction((wanted) => (document.fullscreenElement === document.documentElement) === wanted, is);
+    await page.keyboard.press('v');
+    await filled(true);
+    // The picture is as large as what it fills.
+    await page.waitForFunction(() => document.querySelector('.stage canvas').width === Math.round(innerWidth * devicePixelRatio));
+    await page.keyboard.press('v');
+    await filled(false);
+    await page.keyboard.press('m');
+    await page.getByRole('button', { name: 'Full screen' }).click();
+    await filled(true);
+  }));
+
+test('all of the page is reached and used by Tab alone', () =>
+  opened(kPage, async (page) => {
+    /** What has the focus, by the name that is read out, and whether a person sees that. */
+    const focused = () =>
+      page.evaluate(() => {
+        const element = document.activeElement;
+        const { top, bottom, left, right, width } = element.getBoundingClientRect();
+        const ring = getComputedStyle(element, element.classList.contains('stage') ? '::after' : null);
+        return {
+          name: element.getAttribute('aria-label') ?? (element.closest('label')?.querySelector('span') ?? element).textContent,
+          seen: width > 0 && top >= 0 && left >= 0 && bottom <= innerHeight && right <= innerWidth,
+          ringed: element.matches(':focus-visible') && [ring.outlineWidth, ring.borderTopWidth].includes('3px'),
+        };
+      });
+    const tab = async (key = 'Tab') => {
+      await page.keyboard.press(key);
+      return focused();
+    };
+    assert.match((await focused()).name, /live scene/, 'the picture has the focus to begin with');
+    assert.equal((await tab()).name, 'Menu');
+    assert.match((await tab('Shift+Tab')).name, /live scene/);
+    assert.ok((await focused()).ringed);
+    const [r, g, b] = readPng(await page.screenshot()).rgb.subarray(3 * 320 * 100, 3 * 320 * 100 + 3);
+    assert.deepEqual([r, g, b], [0x56, 0xb4, 0xe9], 'the ring is over the picture');
+    await tab();
+    await page.keyboard.press('Enter');
+    const stops = [await focused()];
+    while (stops.at(-1).name !== 'Close' && stops.length < 30) stops.push(await tab());
+    const kMenu = ['Show all', 'Full screen', 'Save picture', 'Copy link', 'Figures', 'Compare', 'Quality', 'Gaussians at most', 'Mbit/s at most', 'Background'];
+    assert.deepEqual(stops.map(({ name }) => name), [...kMenu, '.ply', '.glb', '.spz', 'Close']);
+    for (const stop of stops) assert.ok(stop.seen && stop.ringed, JSON.stringify(stop));
+
+    const back = async (name) => {
+      while ((await tab('Shift+Tab')).name !== name);
+    };
+    await back('Quality');
+    await page.keyboard.press('ArrowDown');
+    await page.waitForFunction(() => JSON.parse(localStorage.getItem('splatbus.settings') ?? '{}').quality === 'full');
+    assert.equal((await goal(page)).yaw, kStart.yaw, 'what chooses does not turn the camera');
+    await back('Figures');
+    const hidden = () => page.evaluate(() => document.querySelector('.figures').hidden);
+    const before = await hidden();
+    await page.keyboard.press('Space');
+    assert.equal(await hidden(), !before);
+    await back('Show all');
+    await page.keyboard.press('Enter');
+    await page.waitForFunction((distance) => window.splatbus.rig.goal.distance !== distance, kStart.distance);
+    await page.keyboard.press('Escape');
+    await page.getByRole('dialog').waitFor({ state: 'hidden' });
+    assert.equal((await focused()).name, 'Menu', 'the focus is where it was before');
+  }));
+
 test('a gamepad flies, turns and shows all', () =>
   opened(kPage, async (page) => {
-    const pad = (axes, pressed = false) =>
+    const pad = (axes, pressed = false, others = {}) =>
       page.evaluate(
-        ([values, value]) => {
-          const buttons = Array.from({ length: 16 }, (_, index) => ({ value: index === 0 ? value : 0 }));
+        ([values, held]) => {
+          const buttons = Array.from({ length: 16 }, (_, index) => ({ value: held[index] ?? 0 }));
           navigator.getGamepads = () => [{ connected: true, axes: values, buttons }];
         },
-        [axes, Number(pressed)],
+        [axes, { 0: Number(pressed), ...others }],
       );
     await pad([0.05, -1, 0, 0]); // what a stick at rest says of itself does not count
     await page.waitForFunction(() => Math.hypot(window.splatbus.rig.goal.target[0], window.splatbus.rig.goal.target[2]) > 0.2);
@@ -91,6 +185,10 @@ test('a gamepad flies, turns and shows all', () =>
     assert.ok(Math.abs(Math.atan2(-ahead.target[2], -ahead.target[0]) - kStart.yaw) < 1e-6);
     await pad([0, 0, 1, 0]);
     await page.waitForFunction((yaw) => window.splatbus.rig.goal.yaw > yaw + 0.05, kStart.yaw);
+    await pad([0, 0, 0, -1]);
+    await page.waitForFunction((pitch) => window.splatbus.rig.goal.pitch < pitch - 0.05, kStart.pitch); // it looks up
+    await pad([0, 0, 0, 0], false, { 7: 1 });
+    await page.waitForFunction((y) => window.splatbus.rig.goal.target[1] > y + 0.1, (await goal(page)).target[1]);
     await pad([0, 0, 0, 0], true);
     await page.waitForFunction(() => window.splatbus.rig.goal.distance > 4.01);
   }));

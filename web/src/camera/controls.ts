@@ -12,13 +12,14 @@ export class Controls {
   readonly keys = new HeldKeys();
   readonly stick = new Stick();
   readonly #pads = new Gamepads();
+  readonly #pointers: Pointers;
   onFrameAll: () => void = () => {};
 
   constructor(
     canvas: HTMLElement,
     private readonly rig: Rig,
   ) {
-    new Pointers(canvas, rig);
+    this.#pointers = new Pointers(canvas, rig);
     canvas.addEventListener('touched', () => (this.stick.element.hidden = false));
     addEventListener('blur', () => this.keys.releaseAll());
     document.addEventListener('visibilitychange', () => this.keys.releaseAll());
@@ -28,6 +29,7 @@ export class Controls {
   /** Moves the camera by what has been held down for so long. */
   advance(seconds: number): void {
     const step = Math.min(seconds, kLongestStepS);
+    this.#pointers.advance();
     const keys = this.keys.motion();
     const pad = this.#pads.read();
     const motion = {

@@ -9,10 +9,17 @@ interface At {
   y: number;
 }
 
+/** Where two fingers are: the middle between them, and how far apart they are. */
+interface Pinch extends At {
+  readonly apart: number;
+}
+
 /** Mouse, pen and fingers on the picture: one orbits, two pan and pinch; the other mouse buttons, or Shift, pan. */
 export class Pointers {
   readonly #down = new Map<number, At>();
   #panning = false;
+  /** As the camera has followed it. */
+  #pinch: Pinch | null = null;
   touched = false;
 
   constructor(
@@ -22,16 +29,46 @@ export class Pointers {
     element.addEventListener('pointerdown', (event) => this.#press(event));
     element.addEventListener('pointermove', (event) => this.#move(event));
     for (const end of ['pointerup', 'pointercancel', 'lostpointercapture'] as const) {
-      element.addEventListener(end, (event) => this.#down.delete(event.pointerId));
+      element.addEventListener(end, (event) => this.#release(event));
     }
     element.addEventListener('contextmenu', (event) => event.preventDefault());
     element.addEventListener('wheel', (event) => this.#wheel(event), { passive: false });
   }
 
+  /** To be called with every frame: each of two fingers has an event of its own, and one alone is no pinch yet. */
+  advance(): void {
+    const before = this.#pinch;
+    const after = this.#pinchNow();
+    if (before && after) {
+      this.rig.pan(after.x - before.x, after.y - before.y, this.#focal);
+      this.rig.zoom(before.apart / after.apart);
+    }
+    this.#pinch = after;
+  }
+
+  get #focal(): number {
+    return focalOf(this.element.clientWidth, this.element.clientHeight);
+  }
+
+  #pinchNow(): Pinch | null {
+    const [one, other, ...more] = this.#down.values();
+    if (!one || !other || more.length > 0) return null;
+    const apart = Math.max(Math.hypot(one.x - other.x, one.y - other.y), 1);
+    return { x: (one.x + other.x) / 2, y: (one.y + other.y) / 2, apart };
+  }
+
+  #release(event: PointerEvent): void {
+    this.advance();
+    this.#down.delete(event.pointerId);
+    this.#pinch = this.#pinchNow();
+  }
+
   #press(event: PointerEvent): void {
     this.element.focus({ preventScroll: true });
     this.element.setPointerCapture(event.pointerId);
+    this.advance();
     this.#down.set(event.pointerId, { x: event.clientX, y: event.clientY });
+    this.#pinch = this.#pinchNow();
     this.#panning = event.pointerType === 'mouse' && (event.button !== 0 || event.shiftKey);
     if (event.pointerType === 'touch' && !this.touched) {
       this.touched = true;
@@ -43,21 +80,13 @@ export class Pointers {
   #move(event: PointerEvent): void {
     const at = this.#down.get(event.pointerId);
     if (!at) return;
-    const before = [...this.#down.values()].map((other) => ({ ...other }));
     const dx = event.clientX - at.x;
     const dy = event.clientY - at.y;
     at.x = event.clientX;
     at.y = event.clientY;
-    const focal = focalOf(this.element.clientWidth, this.element.clientHeight);
-    if (this.#down.size === 1) {
-      if (this.#panning) this.rig.pan(dx, dy, focal);
-      else this.rig.orbit(dx * kRadiansAPixel, dy * kRadiansAPixel);
-    } else if (this.#down.size === 2) {
-      const after = [...this.#down.values()];
-      const apart = (two: readonly At[]): number => Math.max(Math.hypot(two[0].x - two[1].x, two[0].y - two[1].y), 1);
-      this.rig.pan(dx / 2, dy / 2, focal);
-      this.rig.zoom(apart(before) / apart(after));
-    }
+    if (this.#down.size !== 1) return; // two are followed with the frames
+    if (this.#panning) this.rig.pan(dx, dy, this.#focal);
+    else this.rig.orbit(dx * kRadiansAPixel, dy * kRadiansAPixel);
   }
 
   #wheel(event: WheelEvent): void {
