@@ -20,7 +20,7 @@ using Json = nlohmann::json;
 constexpr int kPointLights = 3;
 constexpr const char* kHeader =
     "run,time_s,camera,picture,ssim,psnr,flip,masked_ssim,masked_psnr,masked_flip,shadow_ssim,shadow_psnr,shadow_flip,"
-    "still_masked_ssim,still_shadow_ssim\n";
+    "still_masked_ssim,still_shadow_ssim,ghost_flip,settled_flip\n";
 constexpr const char* kStreamHeader = "run,time_s,packet,kbps,state_delay_ms_median,state_delay_ms_p99\n";
 
 Json figure(const std::optional<double>& value) {
@@ -92,12 +92,12 @@ std::string csv_rows(const char* run, const DynamicsResults& results) {
     return psnr ? fmt::format("{:.3f}", finite_psnr(*psnr)) : std::string();
   };
   const auto add = [&](const DynamicsSample& sample, const char* picture, const DrawnFigures& figures) {
-    rows += fmt::format("{},{:.3f},{},{},{:.5f},{},{:.5f},{},{},{},{},{},{},{},{}\n", run, sample.time_s, sample.camera,
-                        picture, figures.whole.ssim, decibels(figures.whole.psnr_db), figures.whole.flip,
-                        number(figures.masked.moving), decibels(figures.masked_psnr.moving),
-                        number(figures.masked_flip.moving), number(figures.masked.shadow),
-                        decibels(figures.masked_psnr.shadow), number(figures.masked_flip.shadow),
-                        number(sample.still.moving), number(sample.still.shadow));
+    rows += fmt::format(
+        "{},{:.3f},{},{},{:.5f},{},{:.5f},{},{},{},{},{},{},{},{},{},{}\n", run, sample.time_s, sample.camera, picture,
+        figures.whole.ssim, decibels(figures.whole.psnr_db), figures.whole.flip, number(figures.masked.moving),
+        decibels(figures.masked_psnr.moving), number(figures.masked_flip.moving), number(figures.masked.shadow),
+        decibels(figures.masked_psnr.shadow), number(figures.masked_flip.shadow), number(sample.still.moving),
+        number(sample.still.shadow), number(figures.ghost_flip), number(figures.settled_flip));
   };
   for (const DynamicsSample& sample : results.samples) {
     if (sample.on) add(sample, "on", *sample.on);
@@ -144,6 +144,10 @@ std::optional<double> return_drop(const DynamicsResults& results) {
 
 std::optional<double> ghost_flip(const DynamicsSample& sample) {
   return sample.on && sample.still_ghost_flip ? sample.on->ghost_flip : std::nullopt;
+}
+
+std::optional<double> settled_flip(const DynamicsSample& sample) {
+  return sample.on ? sample.on->settled_flip : std::nullopt;
 }
 
 std::optional<double> still_ghost_flip(const DynamicsSample& sample) {
@@ -294,6 +298,7 @@ Json summarize_living(const DynamicsResults& living) {
       {"pictures_paired", paired},
       {"ghost_flip", mean(living, ghost_flip)},
       {"ghost_flip_still", mean(living, still_ghost_flip)},
+      {"ghost_flip_settled", mean(living, settled_flip)},
       {"motion_residual", figure(mean_residual(living))},
       {"on_ssim_by_minute", by_minute(series(living, of_drawn(on, ssim)))},
   };

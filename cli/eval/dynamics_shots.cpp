@@ -10,8 +10,7 @@ namespace {
 
 constexpr int kMovingReach = 5;  // pixels, as far as a window of SSIM does
 constexpr int kShadowReach = 10;
-constexpr int kLeastPixels = 48;                    // of an object that is judged by itself
-constexpr double kGhostFrom_s = 2, kGhostTo_s = 4;  // after the object has vanished
+constexpr int kLeastPixels = 48;  // of an object that is judged by itself
 
 std::set<std::uint32_t> ids_of(const ObjectTransforms& objects) {
   std::set<std::uint32_t> ids;
@@ -27,13 +26,13 @@ cv::Mat GhostMasks::take(std::size_t camera, double time_s, const ObjectTransfor
     if (!objects.contains(id)) seen.ghosts[id] = {.mask = mask_of(seen.object_id, {id}), .since_s = time_s};
   }
   std::erase_if(seen.ghosts, [&](const auto& ghost) {
-    return objects.contains(ghost.first) || time_s - ghost.second.since_s > kGhostTo_s;
+    return objects.contains(ghost.first) || time_s - ghost.second.since_s > to_s_;
   });
   seen.objects = objects;
   seen.object_id = object_id;
   cv::Mat mask;
   for (const auto& [id, ghost] : seen.ghosts) {
-    if (time_s - ghost.since_s < kGhostFrom_s) continue;
+    if (time_s - ghost.since_s < from_s_) continue;
     mask.empty() ? ghost.mask.copyTo(mask) : cv::bitwise_or(mask, ghost.mask, mask);
   }
   if (mask.empty()) return mask;
@@ -43,7 +42,7 @@ cv::Mat GhostMasks::take(std::size_t camera, double time_s, const ObjectTransfor
 
 void DynamicsShots::add(std::size_t sample, std::size_t camera, const ProbePicture& probe, const SceneLights* lights,
                         const Drawn& drawn) {
-  Shot shot{.sample = sample, .drawn = drawn, .moving = {}, .shadow = {}, .ghost = {}, .objects = {}};
+  Shot shot{.sample = sample, .drawn = drawn, .moving = {}, .shadow = {}, .ghost = {}, .settled = {}, .objects = {}};
   make_masks(camera, probe, lights, shot);
   shots_.push_back(std::move(shot));
 }
@@ -57,6 +56,7 @@ void DynamicsShots::make_masks(std::size_t camera, const ProbePicture& probe, co
     if (cv::countNonZero(mask) >= kLeastPixels) shot.objects.emplace(id, std::move(mask));
   }
   shot.ghost = ghosts_.take(camera, probe.time_s, probe.scene.objects, probe.object_id);
+  shot.settled = settled_.take(camera, probe.time_s, probe.scene.objects, probe.object_id);
   const relight::LightMaps* const sun = lights != nullptr ? lights->front().maps.get() : nullptr;
   if (sun == nullptr || probe.depth.empty()) return;
   now.lit = lit_surfaces(probe.depth, probe.camera, *sun);
@@ -86,11 +86,13 @@ std::optional<DrawnFigures> DynamicsShots::figures(const Shot& shot, const cv::M
                       .masked_psnr = {},
                       .masked_flip = masked_figures(flip_map, shot),
                       .object_ssim = {},
-                      .ghost_flip = {}};
+                      .ghost_flip = {},
+                      .settled_flip = {}};
   if (!shot.moving.empty()) result.masked_psnr.moving = masked_psnr(drawn, engine, shot.moving);
   if (!shot.shadow.empty()) result.masked_psnr.shadow = masked_psnr(drawn, engine, shot.shadow);
   for (const auto& [id, mask] : shot.objects) result.object_ssim[id] = *masked_mean(ssim_map, mask);
   if (!shot.ghost.empty()) result.ghost_flip = masked_mean(flip_map, shot.ghost);
+  if (!shot.settled.empty()) result.settled_flip = masked_mean(flip_map, shot.settled);
   if (is_on && !sample.extra && window_.contains(sample.time_s)) {
     maps_[sample.camera].ssim.add(ssim_map);
     maps_[sample.camera].flip.add(flip_map);

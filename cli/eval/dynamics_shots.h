@@ -28,6 +28,7 @@ struct DrawnFigures {
   std::map<std::uint32_t, double> object_ssim;     ///< of objects that can move and show
   /// FLIP where an object was seen that vanished 2 to 4 s ago and nothing that can move is now.
   std::optional<double> ghost_flip;
+  std::optional<double> settled_flip;  ///< the same 15 to 25 s after it: what is left is no ghost
 };
 
 /// A held-out camera at one instant.
@@ -53,7 +54,10 @@ using MapsOfCameras = std::map<std::size_t, CameraMaps>;
 /// Where objects were that have vanished, by camera.
 class GhostMasks {
  public:
-  /// The mask of a picture's ghosts, those between 2 and 4 s old; empty where there are none. Pictures of a camera come
+  /// Ghosts are judged at these ages.
+  GhostMasks(double from_s, double to_s) : from_s_(from_s), to_s_(to_s) {}
+
+  /// The mask of a picture's ghosts, those that are so old; empty where there are none. Pictures of a camera come
   /// by ascending time.
   [[nodiscard]] cv::Mat take(std::size_t camera, double time_s, const ObjectTransforms& objects,
                              const cv::Mat& object_id);
@@ -68,6 +72,7 @@ class GhostMasks {
     ObjectTransforms objects;
     std::map<std::uint32_t, Ghost> ghosts;
   };
+  double from_s_, to_s_;
   std::map<std::size_t, Seen> cameras_;
 };
 
@@ -94,7 +99,7 @@ class DynamicsShots {
   struct Shot {
     std::size_t sample = 0;
     Drawn drawn;
-    cv::Mat moving, shadow, ghost;  ///< masks; empty where they could not be had
+    cv::Mat moving, shadow, ghost, settled;  ///< masks; empty where they could not be had
     std::map<std::uint32_t, cv::Mat> objects;
   };
   /// Masks of a camera's last picture: where something moves, and what the sun lights.
@@ -112,7 +117,7 @@ class DynamicsShots {
 
   TimeWindow window_;
   const MapsOfCameras* still_;
-  GhostMasks ghosts_;
+  GhostMasks ghosts_{2, 4}, settled_{15, 25};
   std::map<std::size_t, Before> before_;  ///< by camera
   std::vector<Shot> shots_;
   std::map<std::size_t, Maps> maps_;
