@@ -33,6 +33,17 @@ after(async () => {
   rmSync(root, { recursive: true, force: true });
 });
 
+for (const log of kLogs) {
+  test(`after every message of ${log}.log the browser holds what the native viewer holds`, async () => {
+    const page = await browser.newPage();
+    await page.goto(`${server.url}/picture.html`);
+    const expected = readFileSync(join(logs, `${log}.hashes`), 'utf8').trim().split('\n');
+    assert.deepEqual(await page.evaluate((file) => window.tests.heldHashes(file), `${log}.bin`), expected);
+    assert.ok(new Set(expected).size > expected.length / 2, 'the messages change something');
+    await page.close();
+  });
+}
+
 for (const api of ['webgl2', 'webgpu']) {
   for (const log of kLogs) {
     test(`${api} shows what the native viewer shows of ${log}.log`, async () => {

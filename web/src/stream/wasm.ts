@@ -212,6 +212,12 @@ export class Follower {
     };
   }
 
+  /** Of all integers that are held after the last message: for tests. */
+  get heldHash(): bigint {
+    const [low, high] = this.#words(this.wasm.held_hash_ptr(this.#session), 2);
+    return (BigInt(high) << 32n) | BigInt(low);
+  }
+
   #words(at: number, count: number): Uint32Array {
     return new Uint32Array(this.wasm.memory.buffer, at, count);
   }

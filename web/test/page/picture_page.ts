@@ -242,6 +242,15 @@ const tests = {
     return pictures;
   },
 
+  /** The hash of what is held after each message of a recorded stream, in hexadecimal digits. */
+  async heldHashes(log: string): Promise<string[]> {
+    const follower = new Follower(await loadWasm('splatbus.wasm'), 'replay', 4_000_000, 0);
+    return messagesOf(await (await fetch(log)).arrayBuffer()).map((message) => {
+      if (follower.receive(message, 0) !== 'received') throw new Error(follower.error);
+      return follower.heldHash.toString(16).padStart(16, '0');
+    });
+  },
+
   /** What a recorded model costs the workers of a page: milliseconds of sorts from all around, memory. */
   async million(log: string): Promise<object> {
     const [following, sorting] = [await loadWasm('splatbus.wasm'), await loadWasm('splatbus.wasm')];
