@@ -188,16 +188,18 @@ export class Stage {
     return (await this.#renderer?.capture(frame)) ?? null;
   }
 
-  draw(frame: Frame, atRest: boolean): void {
+  /** False: there is nothing to draw yet. */
+  draw(frame: Frame, atRest: boolean): boolean {
     const renderer = this.#renderer;
-    if (!renderer || !this.#fed) return;
+    if (!renderer || !this.#fed) return false;
     renderer.draw(frame);
     this.#canvas.hidden = false;
     this.#backoff.reset();
     const now = performance.now();
-    if (!atRest && now - this.#stillAt < kStillEveryMs) return;
+    if (!atRest && now - this.#stillAt < kStillEveryMs) return true;
     this.#stillAt = now;
     this.#canvas.toBlob((blob) => blob && this.#keep(blob), 'image/jpeg', kStillQuality);
+    return true;
   }
 
   #keep(picture: Blob): void {

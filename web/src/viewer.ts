@@ -199,9 +199,9 @@ export class Viewer {
     this.#redraw = false;
     this.#drawn = { width: view.width, height: view.height, resolution };
     this.#rested = settled;
-    this.stage.draw(this.#frame(view, resolution, nowMs), settled);
+    if (!this.stage.draw(this.#frame(view, resolution, nowMs), settled)) return;
     ++this.frames;
-    if (this.firstPictureMs === 0 && this.stage.standing) this.firstPictureMs = performance.now();
+    if (this.firstPictureMs === 0) this.firstPictureMs = performance.now();
     if (moving) this.#pace.drawn(nowMs);
     else this.#pace.rest();
   }

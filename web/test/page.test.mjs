@@ -35,6 +35,66 @@ test('after the first picture only rows that change are uploaded', () =>
     assert.equal(await uploaded(), 3017);
   }));
 
+/** Bytes that WebGL is handed, by its own functions. */
+function countHandedOver() {
+  const { bufferData, texSubImage2D } = WebGL2RenderingContext.prototype;
+  window.handedOver = 0;
+  Object.assign(WebGL2RenderingContext.prototype, {
+    bufferData(...given) {
+      window.handedOver += given[1].byteLength;
+      return bufferData.apply(this, given);
+    },
+    texSubImage2D(...given) {
+      const [, , , , width, height, format] = given;
+      window.handedOver += 4 * width * height * (format === this.RED_INTEGER ? 1 : 4);
+      return texSubImage2D.apply(this, given);
+    },
+  });
+}
+
+test('WebGL2 is handed what changed and no more: rows, their order, and where objects are', () =>
+  opened(
+    kPage.replace('#', '?gpu=webgl2#'),
+    async (page) => {
+      const kObjects = 3 * 48; // once a picture
+      const soFar = () =>
+        page.evaluate(() => {
+          const { renderer } = window.splatbus.stage;
+          return { handedOver: window.handedOver, frames: window.splatbus.frames, ...renderer.uploaded };
+        });
+      const since = async (then) => Object.fromEntries(Object.entries(await soFar()).map(([key, value]) => [key, value - then[key]]));
+      const rests = async () => {
+        for (let frames = -1; ; await new Promise((resolve) => setTimeout(resolve, 500))) {
+          const now = await soFar();
+          if (now.frames > 0 && now.frames === frames) return now;
+          frames = now.frames;
+        }
+      };
+      const first = await rests();
+      assert.equal(first.bytes, 3000 * (4 + 32 + 4));
+      assert.equal(first.handedOver, first.bytes + first.orderBytes + kObjects * first.frames);
+      await page.evaluate(() => new Promise((resolve) => setTimeout(resolve, 300)));
+      assert.deepEqual(await soFar(), first, 'at rest nothing is');
+      // The camera moves: of rows their order alone, of those before it, once for each sort.
+      await page.evaluate(() => window.splatbus.rig.orbit(0.2, 0));
+      await page.waitForFunction(() => window.splatbus.rig.shown === window.splatbus.rig.goal);
+      await rests();
+      const moved = await since(first);
+      assert.equal(moved.bytes, 0);
+      assert.equal(moved.handedOver, moved.orderBytes + kObjects * moved.frames);
+      assert.ok(moved.orderBytes > 0 && moved.orderBytes <= 4 * 3000 * moved.frames, JSON.stringify(moved));
+      const then = await rests();
+      await page.evaluate(() => new BroadcastChannel('change').postMessage(17));
+      await page.waitForFunction((rows) => window.splatbus.stage.uploadedRows === rows + 17, then.rows);
+      await rests();
+      const changed = await since(then);
+      assert.equal(changed.bytes, 17 * (4 + 32 + 4));
+      assert.equal(changed.handedOver, changed.bytes + changed.orderBytes + kObjects * changed.frames);
+      assert.ok(changed.orderBytes <= 4 * 3000, 'one order for one change');
+    },
+    { init: countHandedOver },
+  ));
+
 /** Orders come a few frames after what has none. */
 function slowOrders() {
   window.Worker = class extends Worker {

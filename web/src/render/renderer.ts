@@ -25,6 +25,15 @@ export interface Picture {
   readonly rgba: Uint8ClampedArray<ArrayBuffer>;
 }
 
+/** To the GPU, so far. */
+export interface Uploaded {
+  /** Of apply() and recolor(). */
+  readonly rows: number;
+  readonly bytes: number;
+  /** Of setOrder(). */
+  readonly orderBytes: number;
+}
+
 /** The browser or its device lacks something. */
 export class GraphicsError extends Error {
   override readonly name = 'GraphicsError';
@@ -44,8 +53,7 @@ export interface Renderer {
   readonly api: 'webgl2' | 'webgpu';
   /** False: setOrder() says which rows there are, back to front. */
   readonly sortsItself: boolean;
-  /** Rows and bytes that apply() and recolor() have uploaded so far. */
-  readonly uploaded: { readonly rows: number; readonly bytes: number };
+  readonly uploaded: Uploaded;
   /** Resolves, with a reason, when the device is gone: nothing is drawn any more, and another renderer is needed. */
   readonly lost: Promise<string>;
 

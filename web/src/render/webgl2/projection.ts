@@ -24,6 +24,8 @@ export class Projection {
   readonly #nothing: WebGLVertexArrayObject;
   #ranks: Ranks;
   #count = 0;
+  /** That setOrder() has uploaded so far. */
+  orderBytes = 0;
   #objects: { texture: WebGLTexture; rows: number };
   #objectFloats = new Float32Array(0);
 
@@ -57,6 +59,7 @@ export class Projection {
     };
     upload(0, kOrderWidth, whole);
     upload(whole, order.length - whole * kOrderWidth, 1);
+    this.orderBytes += order.byteLength;
   }
 
   /** `view`: of `frame`, in pixels of the splats' own target. */
@@ -101,13 +104,15 @@ export class Projection {
 
   #uploadObjects(frame: Frame): void {
     const { gl } = this;
-    const rows = Math.max(1, Math.ceil(frame.scene.transforms.length / kTransformFloats / kObjectsWide));
+    const count = frame.scene.transforms.length / kTransformFloats;
+    if (count === 0) return;
+    const rows = Math.ceil(count / kObjectsWide);
     if (rows > this.#objects.rows) {
       gl.deleteTexture(this.#objects.texture);
       this.#objects = this.#makeObjects(rows);
     }
     cameraFromObjects(frame.view, frame.scene.transforms, frame.scene.farField, this.#objectFloats);
     gl.bindTexture(gl.TEXTURE_2D, this.#objects.texture);
-    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, 3 * kObjectsWide, rows, gl.RGBA, gl.FLOAT, this.#objectFloats);
+    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, 3 * Math.min(count, kObjectsWide), rows, gl.RGBA, gl.FLOAT, this.#objectFloats);
   }
 }

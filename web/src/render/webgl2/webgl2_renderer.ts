@@ -1,7 +1,7 @@
 import { scaledView } from '../../math';
 import type { ColorUpdate, RowUpdate } from '../../records';
 import { texts } from '../../texts';
-import { blendedBackground, fitTo, GraphicsError, targetSize, type Eye, type EyeRenderer, type Frame, type Picture } from '../renderer';
+import { blendedBackground, fitTo, GraphicsError, targetSize, type Eye, type EyeRenderer, type Frame, type Picture, type Uploaded } from '../renderer';
 import { Program, makeTarget, makeTexture, type Gl } from './gl';
 import { Projection } from './projection';
 import { RowStore } from './row_store';
@@ -50,8 +50,8 @@ export class WebGl2Renderer implements EyeRenderer {
     this.#nothing = gl.createVertexArray();
   }
 
-  get uploaded(): { rows: number; bytes: number } {
-    return this.#rows.uploaded;
+  get uploaded(): Uploaded {
+    return { ...this.#rows.uploaded, orderBytes: this.#projection.orderBytes };
   }
 
   apply(update: RowUpdate): void {

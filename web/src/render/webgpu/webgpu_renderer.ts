@@ -1,6 +1,6 @@
 import { cameraFromObjects, kTransformFloats, scaledView } from '../../math';
 import type { ColorUpdate, RowUpdate } from '../../records';
-import { blendedBackground, fitTo, GraphicsError, tangentLimits, targetSize, type Frame, type Picture, type Renderer } from '../renderer';
+import { blendedBackground, fitTo, GraphicsError, tangentLimits, targetSize, type Frame, type Picture, type Renderer, type Uploaded } from '../renderer';
 import { texts } from '../../texts';
 import { DepthOrder, DepthPipelines } from './depth_order';
 import { bindGroup, RowBuffers } from './row_buffers';
@@ -54,8 +54,8 @@ export class WebGpuRenderer implements Renderer {
     this.#between = device.createSampler({ magFilter: 'linear', minFilter: 'linear' });
   }
 
-  get uploaded(): { rows: number; bytes: number } {
-    return this.#rows.uploaded;
+  get uploaded(): Uploaded {
+    return { ...this.#rows.uploaded, orderBytes: 0 };
   }
 
   apply(update: RowUpdate): void {
