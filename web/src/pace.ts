@@ -4,10 +4,14 @@ const kSlowestMs = 20; // 50 frames a second
 const kQuickMs = 15;
 const kLeast = 0.35;
 const kJudgedFrames = 12;
+/** A scene that lives stands still now and then, when its news come late: that is no rest yet. */
+const kRestMs = 1000;
 
 /** How fast pictures follow one another while something moves, and how fine they can be drawn for that. */
 export class Pace {
   #last = 0;
+  /** Nothing has moved since the last picture. */
+  #paused = true;
   #intervals: number[] = [];
   #resolution = 1;
   #patience = 1;
@@ -25,8 +29,10 @@ export class Pace {
   /** A picture was drawn at `nowMs`. */
   drawn(nowMs: number): void {
     const interval = nowMs - this.#last;
-    const isFirst = this.#last === 0;
+    const isFirst = this.#paused;
+    if (isFirst && this.restsAt(nowMs)) this.frameMs = 0;
     this.#last = nowMs;
+    this.#paused = false;
     if (isFirst || interval <= 0) return;
     this.frameMs = this.frameMs === 0 ? interval : this.frameMs + 0.1 * (interval - this.frameMs);
     this.#intervals.push(interval);
@@ -47,8 +53,12 @@ export class Pace {
   /** Nothing moves: the next picture is the first of another series. */
   rest(): void {
     this.#intervals = [];
-    this.frameMs = 0;
-    this.#last = 0;
+    this.#paused = true;
+  }
+
+  /** Whether nothing has moved for so long that there is no rate of pictures to speak of. */
+  restsAt(nowMs: number): boolean {
+    return this.#paused && nowMs - this.#last > kRestMs;
   }
 }
 

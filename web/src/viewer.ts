@@ -286,7 +286,7 @@ export class Viewer {
     const figures = this.figures;
     const known = (value: number | undefined, show: (value: number) => string): string =>
       value === undefined || value < 0 ? texts.unknown : show(value);
-    const moving = this.#pace.frameMs > 0;
+    const moving = this.#pace.frameMs > 0 && !this.#pace.restsAt(nowMs);
     const connection = this.connection === 'open' ? texts.connected : texts.connecting;
     const waiting = Math.max(0, (this.#retryAtMs - nowMs) / 1000);
     this.#overlay.show({

@@ -218,6 +218,12 @@ test('pictures that take long are counted, and drawn more coarsely', () => {
   assert.ok(Math.abs(pace.framesPerSecond - 2.5) < 0.01, `${pace.framesPerSecond}`);
   assert.ok(pace.resolution < 0.7, `${pace.resolution}`);
   pace.rest();
+  assert.ok(!pace.restsAt(17_500) && pace.framesPerSecond > 2, 'a scene whose news come late is not at rest');
+  pace.drawn(17_600);
+  pace.drawn(18_000);
+  assert.ok(Math.abs(pace.framesPerSecond - 2.5) < 0.01, 'what it paused is no time of a picture');
+  pace.rest();
+  assert.ok(pace.restsAt(19_100));
   pace.drawn(100_000);
   assert.equal(pace.framesPerSecond, 0, 'the first after a rest follows nothing');
 });
