@@ -115,10 +115,11 @@ std::string stream_rows(const char* run, const DynamicsResults& results) {
   };
   for (std::size_t k = 1; k < results.stream.size(); ++k) {
     const StreamSecond &before = results.stream[k - 1], &now = results.stream[k];
+    const double seconds = static_cast<double>(now.published_ns - before.published_ns) / 1e9;
     for (const auto& [type, bytes] : now.total_bytes) {
       const auto known = before.total_bytes.find(type);
       const std::uint64_t bytes_before = known != before.total_bytes.end() ? known->second : 0;
-      const auto kbps = kilobits_per_s(bytes_before, bytes, now.time_s - before.time_s);
+      const auto kbps = kilobits_per_s(bytes_before, bytes, seconds);
       rows += fmt::format("{},{:.3f},{},{},{},{}\n", run, now.time_s, type, number(kbps),
                           number(now.state_delay_ms_median), number(now.state_delay_ms_p99));
     }
@@ -133,7 +134,8 @@ std::optional<double> return_drop(const DynamicsResults& results) {
     std::vector<ObjectFigures> seen;
     for (const DynamicsSample& sample : results.samples) {
       if (sample.camera != camera || !sample.on) continue;
-      seen.push_back({.time_s = sample.time_s, .existing = sample.objects, .of_object = sample.on->object_ssim});
+      seen.push_back({.time_s = sample.time_s, .existing = sample.objects, .of_object = {}});
+      if (sample.paired && results.window.contains(sample.time_s)) seen.back().of_object = sample.on->object_ssim;
     }
     const std::vector<double> of_camera = return_drops(seen);
     drops.insert(drops.end(), of_camera.begin(), of_camera.end());

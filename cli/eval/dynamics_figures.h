@@ -55,9 +55,8 @@ struct TimeWindow {
 /// PSNR where `mask` is not 0, of 8-bit pictures, in decibels; nullopt where it is 0 everywhere.
 [[nodiscard]] std::optional<double> masked_psnr(const cv::Mat& picture, const cv::Mat& reference, const cv::Mat& mask);
 
-/// By how much SSIM falls where an object is that was away and has returned: of the last figure before minus the first
-/// after it, the mean over all returns; nullopt without any. `seen` has one camera's figures by object, by ascending
-/// time; an object that is not in a picture's scene has none there.
+/// By how much a figure falls where an object is that was away and has returned, a return each: the last one before
+/// minus the first after it. `seen` has one camera's figures by object, by ascending time.
 struct ObjectFigures {
   double time_s = 0;
   std::set<std::uint32_t> existing;           ///< objects of the scene

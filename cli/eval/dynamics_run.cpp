@@ -247,8 +247,11 @@ class DynamicsRun {
   }
 
   void note_second() {
-    if (newest_ns_ == 0) return;
+    const std::int64_t published_ns = pipeline_.state().stream.published_ns;
+    if (newest_ns_ == 0 || published_ns == 0) return;
+    if (!results_.stream.empty() && results_.stream.back().published_ns == published_ns) return;
     results_.stream.push_back({.time_s = engine_s(),
+                               .published_ns = published_ns,
                                .total_bytes = pipeline_.state().stream.total_bytes,
                                .state_delay_ms_median = counter("viewer", "scene_delay_ms_p50"),
                                .state_delay_ms_p99 = counter("viewer", "scene_delay_ms_p99")});

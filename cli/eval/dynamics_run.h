@@ -34,7 +34,8 @@ struct DynamicsRunOptions {
 
 /// What the stream had sent, and how late its scenes were, at one time.
 struct StreamSecond {
-  double time_s = 0;  ///< of the engine
+  double time_s = 0;              ///< of the engine
+  std::int64_t published_ns = 0;  ///< of the counters
   std::map<std::string, std::uint64_t> total_bytes;
   std::optional<double> state_delay_ms_median, state_delay_ms_p99;
 };

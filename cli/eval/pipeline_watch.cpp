@@ -51,12 +51,13 @@ PipelineWatch::PipelineWatch(std::shared_ptr<bus::Context> context) : subscriber
                            .gaussians_inserted = grid.gaussians_inserted()};
           })
       .on(topics::kStreamStats,
-          [this](const wire::StreamStats& stats, const Message&) {
+          [this](const wire::StreamStats& stats, const Message& message) {
             state_.stream = {.viewers = stats.viewers(),
                              .wire_mbps = stats.wire_mbps(),
                              .wire_mbps_mean = stats.wire_mbps_mean(),
                              .wire_mbps_peak = stats.wire_mbps_peak(),
-                             .total_bytes = {}};
+                             .total_bytes = {},
+                             .published_ns = message.header().publish_ns()};
             if (stats.by_type() == nullptr) return;
             for (const auto* type : *stats.by_type())
               state_.stream.total_bytes[type->body()->str()] = type->total_bytes();
@@ -81,6 +82,8 @@ StartWatch::StartWatch(std::shared_ptr<bus::Context> context, std::uint64_t gaus
   subscriber_
       .on(topics::kEngineFrame,
           [this](const wire::EngineFrame&, const bus::Message& message) {
+            const auto* pictures = message.header().tensors();
+            if (pictures == nullptr || pictures->size() == 0) return;  // before anybody has asked for one
             const std::int64_t captured_ns = message.header().capture_ns();
             first_frame_ns_ = std::min(first_frame_ns_.value_or(captured_ns), captured_ns);
           })

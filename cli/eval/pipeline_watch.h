@@ -34,6 +34,7 @@ struct PipelineState {
     std::uint32_t viewers = 0;
     double wire_mbps = 0, wire_mbps_mean = 0, wire_mbps_peak = 0;
     std::map<std::string, std::uint64_t> total_bytes;  ///< to all viewers since the streamer started, by packet type
+    std::int64_t published_ns = 0;
   };
   Trainer trainer;
   Grid grid;

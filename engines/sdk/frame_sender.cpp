@@ -74,9 +74,15 @@ void FrameSender::publish(const splatbus_frame& frame, const bus::MessageInfo& i
 }
 
 void FrameSender::publish_waiting() {
-  while (!waiting_.empty() && waiting_.front().ready()) {
-    publish(waiting_.front().frame, waiting_.front().info);
+  try {
+    while (!waiting_.empty() && waiting_.front().ready()) {
+      publish(waiting_.front().frame, waiting_.front().info);
+      waiting_.pop_front();
+    }
+  } catch (const std::exception& error) {
+    spdlog::error("a frame could not be sent: {}", error.what());
     waiting_.pop_front();
+    ++dropped_;
   }
 }
 
@@ -107,13 +113,7 @@ void FrameSender::run(const std::stop_token& stop) {
     ring->registered = registered;
     ring->refusal = refusal;
     if (!refusal.empty()) dropped_ += std::erase_if(waiting_, [&](const Waiting& entry) { return entry.ring == ring; });
-    try {
-      publish_waiting();
-    } catch (const std::exception& error) {
-      spdlog::error("a frame could not be sent: {}", error.what());
-      waiting_.pop_front();
-      ++dropped_;
-    }
+    publish_waiting();
   }
 }
 

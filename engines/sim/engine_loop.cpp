@@ -126,9 +126,9 @@ void EngineLoop::render_frame(std::uint64_t frame) {
 void EngineLoop::submit_scene(std::uint64_t frame) {
   if (submitted_scene_ == renderer_.scene_version()) return;
   const splatbus_frame scene = frame_of(frame, {}, {});
-  if (splatbus_engine_submit(&engine_, &scene) != SPLATBUS_OK) {
-    spdlog::error("frame {}: {}", frame, splatbus_engine_last_error(&engine_));
-  }
+  const splatbus_status status = splatbus_engine_submit(&engine_, &scene);
+  if (status != SPLATBUS_OK) spdlog::error("frame {}: {}", frame, splatbus_engine_last_error(&engine_));
+  if (status == SPLATBUS_ERROR_BUS) return;  // the next frame says it
   submitted_scene_ = renderer_.scene_version();
 }
 

@@ -50,7 +50,7 @@ bool Follower::take(const ParsedPacket& packet, std::int64_t now_ns) {
       welcomed_ = !packet.root().body_as_Welcome()->asks();
       return replica_.receive(packet);
     case wire::Body::ProbePicture:
-      take_probe_picture(packet);
+      take_probe_picture(packet, now_ns);
       return false;
     case wire::Body::Bye: {
       const auto* reason = packet.root().body_as_Bye()->reason();
@@ -69,13 +69,14 @@ bool Follower::take(const ParsedPacket& packet, std::int64_t now_ns) {
   return changed;
 }
 
-void Follower::take_probe_picture(const ParsedPacket& packet) {
+void Follower::take_probe_picture(const ParsedPacket& packet, std::int64_t now_ns) {
   if (!options_.probes && !options_.own_probes) return;
   const wire::ProbePicture& body = *packet.root().body_as_ProbePicture();
   ProbeAnswer answer{.probe_id = body.probe_id(),
                      .camera = from_wire(*body.camera()),
                      .scene = {.light = from_wire(*body.light()), .objects = from_wire(body.objects())},
                      .capture_ns = packet.capture_ns(),
+                     .arrived_ns = now_ns,
                      .rgba = {}};
   const std::size_t bytes = std::size_t{answer.camera.width} * answer.camera.height * 4;
   if (bytes > kMaxPictureBytes || body.raw_bytes() != bytes) {

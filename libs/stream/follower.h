@@ -34,6 +34,7 @@ struct ProbeAnswer {
   Camera camera;
   SceneState scene;
   std::int64_t capture_ns = 0;     ///< by the engine's clock; 0: nobody knows
+  std::int64_t arrived_ns = 0;     ///< by the clock of receive()
   std::vector<std::uint8_t> rgba;  ///< [height][width][4]
 };
 
@@ -93,7 +94,7 @@ class Follower {
     return writer_.write(replica_.epoch(), 0, body, std::forward<Build>(build));
   }
   bool take(const ParsedPacket& packet, std::int64_t now_ns);
-  void take_probe_picture(const ParsedPacket& packet);
+  void take_probe_picture(const ParsedPacket& packet, std::int64_t now_ns);
   /// Queues what is due.
   void maintain(std::int64_t now_ns);
   void hello(std::int64_t now_ns);

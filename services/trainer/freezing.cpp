@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 namespace splatbus::trainer {
 
@@ -23,21 +24,45 @@ constexpr float kNearestDistance_m = 0.25F;
 constexpr double kLeastError = 1.0 / 255;
 /// light_change() from which a page has to learn again what it had settled with: of a sun alone, six degrees.
 constexpr float kOtherLight = 0.1F;
+/// Lights that are known again when they return, as a lamp's that blinks.
+constexpr std::size_t kKnownLights = 4;
+/// Under more lights in one window nothing settles anyway.
+constexpr std::size_t kMostLights = 64;
+
+bool contains(const std::vector<std::uint64_t>& ascending, std::uint64_t number) {
+  return std::binary_search(ascending.begin(), ascending.end(), number);
+}
+
+void insert(std::vector<std::uint64_t>& ascending, std::uint64_t number) {
+  const auto place = std::lower_bound(ascending.begin(), ascending.end(), number);
+  if (ascending.size() < kMostLights && (place == ascending.end() || *place != number)) ascending.insert(place, number);
+}
 
 }  // namespace
 
 float light_change(const Light& before, const Light& now) {
-  float changed = glm::distance(before.sun_direction * glm::length(before.sun_irradiance),
-                                now.sun_direction * glm::length(now.sun_irradiance)) +
-                  glm::distance(before.ambient_sh[0], now.ambient_sh[0]);
-  float all = std::max(glm::length(before.sun_irradiance), glm::length(now.sun_irradiance)) +
-              std::max(glm::length(before.ambient_sh[0]), glm::length(now.ambient_sh[0]));
+  // What arrives is a colour times a direction: the distance of two such products.
+  const float sun_cosine = glm::dot(before.sun_direction, now.sun_direction);
+  float changed = std::sqrt(std::max(glm::dot(before.sun_irradiance, before.sun_irradiance) +
+                                         glm::dot(now.sun_irradiance, now.sun_irradiance) -
+                                         2 * sun_cosine * glm::dot(before.sun_irradiance, now.sun_irradiance),
+                                     0.0F));
+  float all = std::max(glm::length(before.sun_irradiance), glm::length(now.sun_irradiance));
+  float sky = 0, sky_before = 0, sky_now = 0;
+  for (std::size_t k = 0; k < now.ambient_sh.size(); ++k) {
+    const glm::vec3 difference = now.ambient_sh[k] - before.ambient_sh[k];
+    sky += glm::dot(difference, difference);
+    sky_before += glm::dot(before.ambient_sh[k], before.ambient_sh[k]);
+    sky_now += glm::dot(now.ambient_sh[k], now.ambient_sh[k]);
+  }
+  changed += std::sqrt(sky);
+  all += std::sqrt(std::max(sky_before, sky_now));
   for (const LightSource& source : before.sources) {
     const auto later = std::ranges::find(now.sources, source.id, &LightSource::id);
     const LightSource& other = later != now.sources.end() ? *later : LightSource{.intensity = glm::vec3(0)};
     const float most = std::max(glm::length(source.intensity), glm::length(other.intensity));
     const float moved_m = glm::distance(source.position, other.position);
-    const float turned = glm::distance(source.direction, other.direction);
+    const float turned = source.kind == LightKind::Point ? 0 : glm::distance(source.direction, other.direction);
     changed += std::max(std::min(moved_m + turned, 1.0F) * most, glm::distance(source.intensity, other.intensity));
     all += most;
   }
@@ -72,6 +97,11 @@ Freezer::Page& Freezer::at(const model::PageStore& store, std::uint32_t page) {
   const model::PageStructure& now = entry.now;
   const bool frozen = now.state == model::PageState::Frozen;
   const bool same_place = of.frame_id == now.frame_id && of.morton_first == now.morton_first;
+  // What a world folder had as frozen learned under any light: under the first that it is seen with, where there was
+  // one alone.
+  std::vector<std::uint64_t> settled_under;
+  if (frozen && entry.loss < 0 && light_count_ <= 1) settled_under = {0};
+  if (frozen && entry.loss >= 0 && same_place) settled_under = of.frozen ? of.settled_under : of.lights_before;
   // With what was put in or taken out its loss is another. How near views have come stays with the place.
   of = {.generation = generation,
         .frame_id = now.frame_id,
@@ -81,23 +111,27 @@ Freezer::Page& Freezer::at(const model::PageStore& store, std::uint32_t page) {
         .seen_s = store.optimizer_s(),
         .px_per_m = same_place ? of.px_per_m : 0.0F,
         .loss_at_freeze = frozen ? static_cast<double>(entry.loss) : 0.0,
-        .light_epoch = light_epoch_};
+        .settled_under = std::move(settled_under)};
   return of;
 }
 
-void Freezer::compare_light(const SceneState& scene) {
-  if (!epoch_scene_) {
-    epoch_scene_ = scene;
-  } else if (scene.version > epoch_scene_->version && light_change(epoch_scene_->light, scene.light) > kOtherLight) {
-    epoch_scene_ = scene;
-    light_epoch_ += 1;
-  }
+std::optional<std::uint64_t> Freezer::number_of(const SceneState& scene) {
+  const auto same = std::find_if(lights_.rbegin(), lights_.rend(), [&](const KnownLight& known) {
+    return light_change(known.light, scene.light) <= kOtherLight;
+  });
+  const bool newest = scene.version >= newest_version_;
+  newest_version_ = std::max(newest_version_, scene.version);
+  if (same != lights_.rend()) return same->number;
+  if (!newest) return {};
+  lights_.push_back({light_count_, scene.light});
+  if (lights_.size() > kKnownLights) lights_.pop_front();
+  return light_count_++;
 }
 
 void Freezer::see(const model::PageStore& store, std::span<const ViewLook> looks) {
   if (first_seen_s_ < 0) first_seen_s_ = store.optimizer_s();
   for (const ViewLook& look : looks) {
-    compare_light(look.view->scene);
+    const std::optional<std::uint64_t> light = number_of(look.view->scene);
     for (const raster::PageLook& seen : look.pages) {
       model::PageEntry& entry = store.table().entry(seen.page);
       if (!is_present(entry.now.state)) continue;
@@ -105,6 +139,8 @@ void Freezer::see(const model::PageStore& store, std::span<const ViewLook> looks
       page.loss += seen.error;
       page.looks += 1;
       page.seen_s = store.optimizer_s();
+      if (light && page.frozen && !contains(page.settled_under, *light)) page.unsettled_looks += 1;
+      if (light && !page.frozen) insert(page.lights, *light);
       const float px_per_m = nearest_px_per_m(*look.view, entry.now.frame_id, entry.bounds);
       float& nearest = page.frozen ? page.thawing_px_per_m : page.px_per_m;
       nearest = std::max(nearest, px_per_m);
@@ -144,18 +180,19 @@ Freezer::Change Freezer::decide(const model::PageStore& store, const FreezeOptio
       // One that had not settled goes on where views come near again. From the end of a street all of it is in sight.
       const bool teaches = page.loss_at_freeze > 0 || page.seen_from_near;
       const bool worse = teaches && loss > options.thaw_rise * page.loss_at_freeze + kLeastError;
-      const bool relit = teaches && page.light_epoch != light_epoch_;
+      const bool relit = teaches && 2 * page.unsettled_looks >= page.looks;
       if (nearer || worse || relit) change.thaw.push_back(number);
-      page.loss = page.looks = 0;
+      page.loss = page.looks = page.unsettled_looks = 0;
       continue;
     }
     entry.loss = static_cast<float>(loss);
     if (!may_freeze || now_s - page.since_s < options.after_s) continue;
-    const bool same_light = page.light_epoch == light_epoch_;
-    const bool settled = same_light && page.loss_before >= 0 && loss > (1 - options.least_gain) * page.loss_before;
+    // Of windows under different lights neither says what the other gained.
+    const bool settled = page.lights == page.lights_before && page.loss_before >= 0 &&
+                         loss > (1 - options.least_gain) * page.loss_before;
     if (settled && movements[r] <= options.most_movement) change.freeze.push_back(number);
-    page.loss_before = same_light ? loss : -1;  // of two lights' windows neither says what the other gained
-    page.light_epoch = light_epoch_;
+    page.loss_before = loss;
+    page.lights_before = std::exchange(page.lights, {});
     page.loss = page.looks = 0;
     page.since_s = now_s;
   }

@@ -2,6 +2,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <deque>
 #include <optional>
 #include <span>
 #include <vector>
@@ -29,6 +30,7 @@ class Freezer {
                               std::span<const float> movements);
 
  private:
+  using LightNumbers = std::vector<std::uint64_t>;  ///< ascending
   struct Page {
     std::uint64_t generation = 0;  ///< of its structure, as it was last looked at
     std::uint32_t frame_id = 0;
@@ -42,16 +44,21 @@ class Freezer {
     float px_per_m = 0, thawing_px_per_m = 0;  ///< in the nearest view it trained with; in one since it froze
     bool seen_from_near = false;               ///< since it froze, or about as near as it trained
     double loss_at_freeze = 0;                 ///< below 0: nobody knows
-    std::uint64_t light_epoch = 0;             ///< in which its window began
+    /// Lights that it was seen under in the window, in the one before, and that it had settled under when it froze.
+    LightNumbers lights, lights_before, settled_under;
+    std::uint32_t unsettled_looks = 0;  ///< since it froze, under none of the latter
   };
   Page& at(const model::PageStore& store, std::uint32_t page);
-  /// Whether the light is another than the one that pages have settled for.
-  void compare_light(const SceneState& scene);
+  /// Number of the scene's light among the last ones that differ; nullopt for one that is older than all of them.
+  [[nodiscard]] std::optional<std::uint64_t> number_of(const SceneState& scene);
 
   std::vector<Page> pages_;
-  /// Of the first view of an epoch, each of which begins when the light has become another.
-  std::optional<SceneState> epoch_scene_;
-  std::uint64_t light_epoch_ = 0;
+  struct KnownLight {
+    std::uint64_t number = 0;
+    Light light;  ///< as it was first seen
+  };
+  std::deque<KnownLight> lights_;  ///< the newest last
+  std::uint64_t light_count_ = 0, newest_version_ = 0;
   /// Of optimizer time: when decide() is due, when pages may freeze, and when all began. The latter is rare, for what
   /// reads the model has to look at each page anew that changes its state.
   double next_s_ = 0, next_freeze_s_ = -1, first_seen_s_ = -1;

@@ -23,9 +23,9 @@ void PictureAges::came(const SceneState& scene, std::int64_t capture_ns) {
     if (captured_ns_.size() > kVersions) captured_ns_.erase(captured_ns_.begin());
   }
   const auto await = [&](std::uint32_t id, bool exists) {
-    // Whatever was awaited of it before is overtaken.
-    std::erase_if(awaited_, [&](const Awaited& other) { return other.object_id == id; });
-    if (capture_ns > 0 && awaited_.size() < kMostAwaited) awaited_.push_back({id, exists, capture_ns});
+    awaited_.erase(id);  // whatever was awaited of it before is overtaken
+    // Before there is a picture all are late.
+    if (capture_ns > 0 && drawn_ && awaited_.size() < kMostAwaited) awaited_[id] = {exists, capture_ns};
   };
   if (std::exchange(begun_, true)) {
     for (const std::uint32_t id : objects_) {
@@ -40,8 +40,10 @@ void PictureAges::came(const SceneState& scene, std::int64_t capture_ns) {
 
 void PictureAges::drawn(const SceneState& scene, const Picture& picture) {
   if (picture.shown_ns > 0) ages_.add(ms_between(picture.shown_ns, picture.finished_ns));
-  std::erase_if(awaited_, [&](const Awaited& change) {
-    if (scene.objects.contains(change.object_id) != change.exists) return false;
+  drawn_ = true;
+  std::erase_if(awaited_, [&](const auto& awaited) {
+    const auto& [id, change] = awaited;
+    if (scene.objects.contains(id) != change.exists) return false;
     object_changes_.add(ms_between(change.capture_ns, picture.finished_ns));
     return true;
   });

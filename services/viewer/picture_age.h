@@ -2,7 +2,7 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <deque>
+#include <iterator>
 #include <map>
 #include <set>
 
@@ -18,10 +18,10 @@ class PictureAges {
   /// A state of the scene has arrived, by ascending time; `capture_ns` is 0 where nobody knows when it was.
   void came(const SceneState& scene, std::int64_t capture_ns);
 
-  /// When the scene of this version was, by the engine's clock; 0: nobody knows.
+  /// When the scene of this version was, or the last before it that came here, by the engine's clock; 0: nobody knows.
   [[nodiscard]] std::int64_t captured_ns(std::uint64_t scene_version) const {
-    const auto found = captured_ns_.find(scene_version);
-    return found != captured_ns_.end() ? found->second : 0;
+    const auto later = captured_ns_.upper_bound(scene_version);
+    return later != captured_ns_.begin() ? std::prev(later)->second : 0;
   }
 
   struct Picture {
@@ -40,13 +40,12 @@ class PictureAges {
 
  private:
   struct Awaited {
-    std::uint32_t object_id = 0;
     bool exists = false;
     std::int64_t capture_ns = 0;
   };
   std::set<std::uint32_t> objects_;  ///< of the state that came last
-  bool begun_ = false;
-  std::deque<Awaited> awaited_;
+  bool begun_ = false, drawn_ = false;
+  std::map<std::uint32_t, Awaited> awaited_;           ///< by object
   std::map<std::uint64_t, std::int64_t> captured_ns_;  ///< by scene version, of the last ones
   std::uint64_t visibility_version_ = 0;
   stream::SceneDelays ages_, object_changes_, visibility_leads_;

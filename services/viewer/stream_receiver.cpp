@@ -132,9 +132,9 @@ bool StreamReceiver::take(Shown& shown) {
   return std::exchange(changed_, false);
 }
 
-void StreamReceiver::wait_for(std::chrono::nanoseconds timeout) {
+void StreamReceiver::wait_for(std::chrono::nanoseconds timeout, bool answers) {
   std::unique_lock lock(mutex_);
-  arrived_.wait_for(lock, timeout, [this] { return changed_ || answer_ || failure_; });
+  arrived_.wait_for(lock, timeout, [this, answers] { return changed_ || (answers && answer_) || failure_; });
 }
 
 std::optional<ProbeAnswer> StreamReceiver::take_probe_answer() {

@@ -42,8 +42,8 @@ class StreamReceiver {
 
   /// False, with nothing in it, when the picture is as it was. Throws what has ended the thread.
   [[nodiscard]] bool take(Shown& shown);
-  /// Until take() or take_probe_answer() has something.
-  void wait_for(std::chrono::nanoseconds timeout);
+  /// Until take() has something, or with `answers` take_probe_answer().
+  void wait_for(std::chrono::nanoseconds timeout, bool answers = true);
 
   /// Of the fades of Shown::batches.
   [[nodiscard]] float fade_time_s(std::int64_t now_ns) const {

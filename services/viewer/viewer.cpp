@@ -23,6 +23,7 @@ namespace fs = std::filesystem;
 constexpr std::int64_t kSecondNs = 1'000'000'000;
 constexpr std::int64_t kLongestWaitNs = 50'000'000;
 constexpr std::int64_t kProbePatienceNs = 150'000'000;  // for visibility, which comes some 20 times a second
+constexpr std::int64_t kProbeLookNs = 5'000'000;        // until it is looked whether it is there
 constexpr std::int64_t kIdleWindowNs = 5'000'000;       // until mouse and keys are looked at again
 
 ClientOptions client_options(const Options& options, const ViewerHost& host) {
@@ -119,7 +120,7 @@ void Viewer::run() {
     const std::int64_t left_ns = draws_at_display_rate() ? 0 : drawn_ns_ + period_ns - bus::now_ns();
     const std::int64_t idle_ns = draws_at_display_rate() ? kIdleWindowNs : period_ns;
     const std::int64_t wait_ns = std::min(left_ns > 0 ? left_ns : changed ? 0 : idle_ns, kLongestWaitNs);
-    receiver_.wait_for(std::chrono::nanoseconds(wait_ns));
+    receiver_.wait_for(std::chrono::nanoseconds(probe_ ? std::min(wait_ns, kProbeLookNs) : wait_ns), !probe_);
     changed = take() || changed;
     if (window_) window_->poll_events();
     const std::int64_t now_ns = bus::now_ns();
@@ -196,9 +197,10 @@ bool Viewer::show(bool changed) {
     painter_->show(*window_, camera_, scene, time_s);
     draw_ms_ = static_cast<double>(bus::now_ns() - begin_ns) / 1e6;
   }
-  ages_.drawn(
-      scene,
-      {.shown_ns = playout_.shown_ns(), .finished_ns = bus::now_ns(), .visibility_version = shown_.visibility_version});
+  ages_.drawn(scene,
+              {.shown_ns = moving ? playout_.shown_ns() : 0,  // a picture of a scene at rest is as old as the scene
+               .finished_ns = bus::now_ns(),
+               .visibility_version = shown_.visibility_version});
   if (first_picture_ns_ == 0) {
     first_picture_ns_ = bus::now_ns();
     spdlog::info("first picture, {} Gaussians", shown_.gaussians);
@@ -231,7 +233,7 @@ void Viewer::ask_probe(std::int64_t now_ns) {
 }
 
 bool Viewer::sees_as_probe(const ProbeAnswer& probe) const {
-  if (probe.capture_ns == 0 || bus::now_ns() - probe_since_ns_ > kProbePatienceNs) return true;
+  if (probe.capture_ns == 0 || bus::now_ns() - probe.arrived_ns > kProbePatienceNs) return true;
   // Nothing has changed since: there is none to come.
   if (shown_.visibility_version >= shown_.scene->version) return true;
   return ages_.captured_ns(shown_.visibility_version) >= probe.capture_ns;
@@ -239,10 +241,7 @@ bool Viewer::sees_as_probe(const ProbeAnswer& probe) const {
 
 void Viewer::answer_probes() {
   // One a turn: packets are taken in between. Without a model there is nothing to compare.
-  if (!probe_) {
-    probe_ = receiver_.take_probe_answer();
-    probe_since_ns_ = bus::now_ns();
-  }
+  if (!probe_) probe_ = receiver_.take_probe_answer();
   if (!probe_ || (shown_.gaussians > 0 && !sees_as_probe(*probe_))) return;
   const std::optional<ProbeAnswer> probe = std::exchange(probe_, std::nullopt);
   if (shown_.gaussians == 0) return;

@@ -107,7 +107,6 @@ class Viewer {
   metrics::Quality last_quality_;
   double draw_ms_ = 0;
   std::optional<ProbeAnswer> probe_;  ///< that is to be answered
-  std::int64_t probe_since_ns_ = 0;
 };
 
 }  // namespace splatbus::viewer

@@ -178,6 +178,33 @@ TEST_F(FreezerTest, NothingRestsWhileTheLightTurns) {
   }
 }
 
+TEST_F(FreezerTest, LightsThatComeBackAreKnown) {
+  const std::vector<double> seen(pages_.size(), 0.1);
+  const auto blink = [&](int s) {
+    turn_sun(s % 2 == 0 ? 0.0F : 90.0F);
+    return second(seen);
+  };
+  for (int s = 0; s < 12; ++s) (void)blink(s);
+  EXPECT_EQ(store().frozen_pages(), pages_.size());
+  for (int s = 0; s < 6; ++s) EXPECT_TRUE(blink(s).thaw.empty()) << s;
+  turn_sun(45);
+  EXPECT_EQ(second(seen).thaw.size(), pages_.size());
+}
+
+TEST_F(FreezerTest, WhatOldPicturesShowIsNotOfTheNewLight) {
+  turn_sun(0);
+  for (int s = 0; s < 6; ++s) (void)second({0.1, 0.1});
+  ASSERT_EQ(state(1), PageState::Frozen);
+  const SceneState before = scene;
+  turn_sun(90);
+  const SceneState now = scene;
+  EXPECT_EQ(second({0.1}).thaw, std::vector{pages_[0]});
+  scene = before;
+  for (int s = 0; s < 6; ++s) EXPECT_TRUE(second({-1, 0.1}).thaw.empty()) << s;
+  scene = now;
+  EXPECT_EQ(second({-1, 0.1}).thaw, std::vector{pages_[1]});
+}
+
 TEST(LightChange, IsTheShareOfWhatArrivesThatIsAnother) {
   Light light;
   light.sun_irradiance = glm::vec3(2);
@@ -186,6 +213,9 @@ TEST(LightChange, IsTheShareOfWhatArrivesThatIsAnother) {
   Light other = light;
   other.sun_direction = {1, 0, 0};
   EXPECT_NEAR(light_change(light, other), std::sqrt(2.0F) / 2, 1e-5F);
+  other = light;
+  other.sun_irradiance = {std::sqrt(12.0F), 0, 0};
+  EXPECT_GT(light_change(light, other), 0.3F) << "as strong, of another colour";
   other = light;
   other.sources[0].position.x = 5;
   EXPECT_NEAR(light_change(light, other), 0.5F, 1e-5F);

@@ -24,7 +24,10 @@ TEST(PictureAges, AreFromTheInstantThatIsShown) {
 
 TEST(PictureAges, AnObjectHasChangedWithTheFirstPictureThatShowsIt) {
   PictureAges ages;
+  ages.came(scene(1, {4}), 100 * kMs);
   ages.came(scene(1, {4, 7}), 1000 * kMs);
+  ages.drawn(scene(1, {4, 7}), {.shown_ns = 990 * kMs, .finished_ns = 1001 * kMs});
+  EXPECT_EQ(ages.object_changes().count(), 0U) << "before the first picture all is late";
   ages.came(scene(2, {4}), 1033 * kMs);
   ages.came(scene(3, {4}), 1066 * kMs);
   ages.drawn(scene(1, {4, 7}), {.shown_ns = 1000 * kMs, .finished_ns = 1070 * kMs});
@@ -42,6 +45,7 @@ TEST(PictureAges, AnObjectHasChangedWithTheFirstPictureThatShowsIt) {
 TEST(PictureAges, WhatIsThereAgainBeforeAnyPictureIsAwaitedNoLonger) {
   PictureAges ages;
   ages.came(scene(1, {4}), 1000 * kMs);
+  ages.drawn(scene(1, {4}), {});
   ages.came(scene(2, {}), 1010 * kMs);
   ages.came(scene(3, {4}), 1020 * kMs);
   ages.drawn(scene(3, {4}), {.shown_ns = 1020 * kMs, .finished_ns = 1025 * kMs});
@@ -57,9 +61,11 @@ TEST(PictureAges, VisibilityIsAheadByTheTimeBetweenItsSceneAndTheOneThatIsShown)
   ages.came(scene(2, {}), 1033 * kMs);
   ages.drawn(scene(1, {}), {.shown_ns = 1005 * kMs, .finished_ns = 1040 * kMs, .visibility_version = 2});
   ages.drawn(scene(1, {}), {.shown_ns = 1025 * kMs, .finished_ns = 1060 * kMs, .visibility_version = 2});
-  ages.drawn(scene(2, {}), {.shown_ns = 1030 * kMs, .finished_ns = 1060 * kMs, .visibility_version = 99});
+  ages.drawn(scene(2, {}), {.shown_ns = 1030 * kMs, .finished_ns = 1060 * kMs, .visibility_version = 0});
   ASSERT_EQ(ages.visibility_leads().count(), 1U);
   EXPECT_DOUBLE_EQ(ages.visibility_leads().quantile(1), 28);
+  EXPECT_EQ(ages.captured_ns(99), 1033 * kMs) << "a state between did not come";
+  EXPECT_EQ(ages.captured_ns(0), 0);
 }
 
 }  // namespace
