@@ -23,6 +23,8 @@ const kPoseEveryMs = 50;
 const kAddressEveryMs = 500;
 const kFiguresEveryMs = 250;
 const kSettleMs = 150;
+/** Turns of the display, of which a slow one is longer than that. */
+const kSettleTurns = 3;
 
 export interface ViewerOptions {
   readonly api: Api | null;
@@ -54,6 +56,8 @@ export class Viewer {
   #lastMs = 0;
   #movedMs = 0;
   #changedMs = 0;
+  /** Since something moved. */
+  #stillTurns = 0;
   #poseMs = 0;
   #figuresMs = 0;
   #addressMs = 0;
@@ -194,7 +198,8 @@ export class Viewer {
     const drawn = this.#drawn;
     const resized = drawn.width !== view.width || drawn.height !== view.height || drawn.resolution !== resolution;
     const moving = nowMs === this.#movedMs || nowMs === this.#changedMs || this.stage.movingAt(nowMs);
-    const settled = !moving && nowMs - Math.max(this.#movedMs, this.#changedMs) > kSettleMs;
+    this.#stillTurns = moving ? 0 : this.#stillTurns + 1;
+    const settled = this.#stillTurns >= kSettleTurns && nowMs - Math.max(this.#movedMs, this.#changedMs) > kSettleMs;
     if (!this.stage.renderer || (!moving && !resized && !this.#redraw && !(settled && !this.#rested))) return;
     this.#redraw = false;
     this.#drawn = { width: view.width, height: view.height, resolution };
