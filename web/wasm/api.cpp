@@ -195,10 +195,10 @@ int32_t take_picture(Session* session) {
   auto answer = session->held->follower.take_probe_answer();
   if (!answer) return 0;
   session->picture = std::move(*answer);
-  const auto& [id, camera, scene, rgba] = session->picture;
-  session->picture_info = {static_cast<double>(id), static_cast<double>(camera.width),
-                           static_cast<double>(camera.height)};
-  session->picture_transforms = session->held->rows.transforms_in(scene);
+  const stream::ProbeAnswer& picture = session->picture;
+  session->picture_info = {static_cast<double>(picture.probe_id), static_cast<double>(picture.camera.width),
+                           static_cast<double>(picture.camera.height)};
+  session->picture_transforms = session->held->rows.transforms_in(picture.scene);
   return 1;
 }
 
