@@ -105,7 +105,8 @@ TEST_F(ChainTest, AnIdThatIsGivenToAnotherObjectShowsNothingOfTheFirst) {
   for (int k = 0; k < kBeatsIn2s; ++k) beat();
   EXPECT_TRUE(until([&] { return within(1.2F) - within(0.7F) <= before / kHandful; }))
       << within(1.2F) - within(0.7F) << " of " << before;
-  EXPECT_TRUE(until([&] { return within(0.7F) > before / 8; })) << within(0.7F) << " of " << before;
+  // It takes a quarter of the pixels, of which the rounds that see it first need not have all.
+  EXPECT_TRUE(until([&] { return within(0.7F) > before / 16; })) << within(0.7F) << " of " << before;
 }
 
 /// The floor in patches, each an object with an id of its own.
