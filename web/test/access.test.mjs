@@ -126,7 +126,7 @@ for (const [who, suffix, text] of [
     const before = await refused(urls.guarded, 'token');
     await opened(urls.guarded + suffix, async (page) => {
       await says(page, text);
-      const { standing, bytes } = await page.evaluate(() => ({ standing: window.splatbus.stage.standing, bytes: window.splatbus.figures.bytes }));
+      const { standing, bytes } = await page.evaluate(() => ({ standing: window.splatbus.stage.standing, bytes: window.splatbus.figures?.bytes ?? 0 }));
       assert.deepEqual({ standing, bytes }, { standing: false, bytes: 0 });
     });
     assert.ok((await refused(urls.guarded, 'token')) > before);
