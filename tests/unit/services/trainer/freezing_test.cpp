@@ -41,7 +41,7 @@ class FreezerTest : public OptimizerTest {
     for (int k = 0; k < looks; ++k) freezer_.see(store(), std::span(&look, 1));
     store().add_time(1);
     EXPECT_TRUE(freezer_.due(store()));
-    const Freezer::Change change = freezer_.decide(store(), options_, movements_);
+    Freezer::Change change = freezer_.decide(store(), options_, movements_);
     EXPECT_FALSE(freezer_.due(store()));
     store().freeze(change.freeze);
     store().thaw(change.thaw);
