@@ -134,7 +134,7 @@ std::optional<double> return_drop(const DynamicsResults& results) {
     std::vector<ObjectFigures> seen;
     for (const DynamicsSample& sample : results.samples) {
       if (sample.camera != camera || !sample.on) continue;
-      seen.push_back({.time_s = sample.time_s, .existing = sample.objects, .of_object = {}});
+      seen.push_back({.existing = sample.objects, .of_object = {}});
       if (sample.paired && results.window.contains(sample.time_s)) seen.back().of_object = sample.on->object_ssim;
     }
     const std::vector<double> of_camera = return_drops(seen);

@@ -58,7 +58,6 @@ struct TimeWindow {
 /// By how much a figure falls where an object is that was away and has returned, a return each: the last one before
 /// minus the first after it. `seen` has one camera's figures by object, by ascending time.
 struct ObjectFigures {
-  double time_s = 0;
   std::set<std::uint32_t> existing;           ///< objects of the scene
   std::map<std::uint32_t, double> of_object;  ///< those that show
 };

@@ -48,12 +48,6 @@ SceneBytes scene_bytes(const PipelineState::Stream& stream) {
   return bytes;
 }
 
-std::set<std::uint32_t> objects_of(const SceneState& scene) {
-  std::set<std::uint32_t> ids;
-  for (const auto& [id, transform] : scene.objects) ids.insert(id);
-  return ids;
-}
-
 class DynamicsRun {
  public:
   DynamicsRun(const DynamicsRunOptions& options, const StopSignals& signals, const MapsOfCameras* still,
@@ -185,7 +179,7 @@ class DynamicsRun {
                                 .probe_id = probe.probe_id,
                                 .paired = lights.has_value(),
                                 .extra = waiting.extra,
-                                .objects = objects_of(probe.scene),
+                                .objects = ids_of(probe.scene.objects),
                                 .on = {},
                                 .off = {},
                                 .still = {},

@@ -12,13 +12,13 @@ constexpr int kMovingReach = 5;  // pixels, as far as a window of SSIM does
 constexpr int kShadowReach = 10;
 constexpr int kLeastPixels = 48;  // of an object that is judged by itself
 
+}  // namespace
+
 std::set<std::uint32_t> ids_of(const ObjectTransforms& objects) {
   std::set<std::uint32_t> ids;
   for (const auto& [id, transform] : objects) ids.insert(id);
   return ids;
 }
-
-}  // namespace
 
 cv::Mat GhostMasks::take(std::size_t camera, double time_s, const ObjectTransforms& objects, const cv::Mat& object_id) {
   Seen& seen = cameras_[camera];

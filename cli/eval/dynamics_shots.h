@@ -51,6 +51,8 @@ struct CameraMaps {
 };
 using MapsOfCameras = std::map<std::size_t, CameraMaps>;
 
+[[nodiscard]] std::set<std::uint32_t> ids_of(const ObjectTransforms& objects);
+
 /// Where objects were that have vanished, by camera.
 class GhostMasks {
  public:

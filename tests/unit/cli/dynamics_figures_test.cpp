@@ -69,12 +69,12 @@ TEST(DynamicsFigures, PsnrCountsTheMaskAlone) {
 
 TEST(DynamicsFigures, AReturnIsJudgedByTheFirstPictureAfterIt) {
   const std::vector<ObjectFigures> seen{
-      {.time_s = 1, .existing = {4, 7}, .of_object = {{4, 0.9}, {7, 0.8}}},
-      {.time_s = 2, .existing = {4, 7}, .of_object = {{4, 0.95}}},  // 7 is hidden: it has not gone
-      {.time_s = 3, .existing = {7}, .of_object = {{7, 0.7}}},
-      {.time_s = 4, .existing = {4, 7}, .of_object = {{7, 0.75}}},  // 4 is there, behind something
-      {.time_s = 5, .existing = {4, 7, 9}, .of_object = {{4, 0.85}, {9, 0.1}}},
-      {.time_s = 6, .existing = {4, 7, 9}, .of_object = {{4, 0.2}, {9, 0.2}}},
+      {.existing = {4, 7}, .of_object = {{4, 0.9}, {7, 0.8}}},
+      {.existing = {4, 7}, .of_object = {{4, 0.95}}},  // 7 is hidden: it has not gone
+      {.existing = {7}, .of_object = {{7, 0.7}}},
+      {.existing = {4, 7}, .of_object = {{7, 0.75}}},  // 4 is there, behind something
+      {.existing = {4, 7, 9}, .of_object = {{4, 0.85}, {9, 0.1}}},
+      {.existing = {4, 7, 9}, .of_object = {{4, 0.2}, {9, 0.2}}},
   };
   const std::vector<double> drops = return_drops(seen);
   ASSERT_EQ(drops.size(), 1U);

@@ -2,6 +2,8 @@
 #include <gmock/gmock.h>
 
 #include <algorithm>
+#include <filesystem>
+#include <utility>
 
 #include "../bus/child_process.h"
 #include "sdk_fixture.h"
@@ -22,6 +24,19 @@ void submit_numbered(splatbus_engine* engine, std::uint8_t count) {
     ASSERT_EQ(splatbus_engine_submit(engine, &owned.frame), SPLATBUS_OK) << splatbus_engine_last_error(engine);
   }
 }
+
+/// Until it is shown, the broker takes messages and no slabs.
+class HiddenSlabs {
+ public:
+  explicit HiddenSlabs(std::filesystem::path socket)
+      : socket_(std::move(socket)), hidden_(socket_.string() + ".hidden") {
+    std::filesystem::rename(socket_, hidden_);
+  }
+  void show() { std::filesystem::rename(hidden_, socket_); }
+
+ private:
+  std::filesystem::path socket_, hidden_;
+};
 
 TEST_F(SdkTest, ReadersHaveRoomForManyFrames) {
   const auto context = connect("tester");
@@ -129,16 +144,14 @@ TEST_F(SdkTest, SubmitNeedsNoBroker) {
 }
 
 TEST_F(SdkTest, TheNewestFramesArriveOnceTheirMemoryCanBeFound) {
-  // A broker that takes messages and no slabs yet.
-  const std::filesystem::path slabs = directory_.address().slab_socket(), hidden = slabs.string() + ".hidden";
   const auto context = connect("tester");
   bus::Subscriber frames(context, {"engine/frame"});
   ASSERT_TRUE(frames.wait_connected(patience));
   ASSERT_TRUE(context->wait_connected(patience));
-  std::filesystem::rename(slabs, hidden);
+  HiddenSlabs slabs(directory_.address().slab_socket());
   const Engine engine = open();
   submit_numbered(engine.get(), kNumbered);
-  std::filesystem::rename(hidden, slabs);
+  slabs.show();
   for (std::uint64_t expected = kNumbered - kHalfARing; expected < kNumbered; ++expected) {
     const auto message = frames.receive(patience);
     ASSERT_TRUE(message.has_value());
@@ -185,12 +198,11 @@ TEST_F(SdkTest, AFrameWithoutImagesSaysObjectsAndLight) {
 }
 
 TEST_F(SdkTest, FramesWithoutImagesStayBehindThoseBeforeThem) {
-  const std::filesystem::path slabs = directory_.address().slab_socket(), hidden = slabs.string() + ".hidden";
   const auto context = connect("tester");
   bus::Subscriber frames(context, {"engine/frame"});
   ASSERT_TRUE(frames.wait_connected(patience));
   ASSERT_TRUE(context->wait_connected(patience));
-  std::filesystem::rename(slabs, hidden);
+  HiddenSlabs slabs(directory_.address().slab_socket());
   const Engine engine = open();
   submit_numbered(engine.get(), 2);
   std::vector<splatbus_object> objects;
@@ -198,7 +210,7 @@ TEST_F(SdkTest, FramesWithoutImagesStayBehindThoseBeforeThem) {
     const splatbus_frame frame = scene_alone(number, objects);
     ASSERT_EQ(splatbus_engine_submit(engine.get(), &frame), SPLATBUS_OK);
   }
-  std::filesystem::rename(hidden, slabs);
+  slabs.show();
   for (const std::uint64_t expected : {0, 1, 999}) {
     const auto message = frames.receive(patience);
     ASSERT_TRUE(message.has_value());
