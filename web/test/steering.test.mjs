@@ -45,13 +45,18 @@ test('the mouse orbits, pans and zooms', () =>
     await reaches(page, { distance: 3.6 });
   }));
 
+/** Sends touches of fingers at points of the page. */
+async function fingers(page) {
+  const session = await page.context().newCDPSession(page);
+  return (type, ...points) =>
+    session.send('Input.dispatchTouchEvent', { type, touchPoints: points.map(([x, y], id) => ({ x, y, id })) });
+}
+
 test('one finger orbits, two pinch and pan, a stick moves', () =>
   opened(
     kPage,
     async (page) => {
-      const session = await page.context().newCDPSession(page);
-      const touch = (type, ...points) =>
-        session.send('Input.dispatchTouchEvent', { type, touchPoints: points.map(([x, y], id) => ({ x, y, id })) });
+      const touch = await fingers(page);
       await touch('touchStart', [160, 100]);
       await touch('touchMove', [180, 110]);
       await touch('touchEnd');
@@ -80,9 +85,7 @@ test('two fingers pan, and pinch while they do', () =>
   opened(
     kPage,
     async (page) => {
-      const session = await page.context().newCDPSession(page);
-      const touch = (type, ...points) =>
-        session.send('Input.dispatchTouchEvent', { type, touchPoints: points.map(([x, y], id) => ({ x, y, id })) });
+      const touch = await fingers(page);
       const metresAPixel = kStart.distance / (200 / (2 * Math.tan(Math.PI / 6)));
       await touch('touchStart', [140, 90], [180, 110]);
       // What is under the fingers follows them: the camera goes the other way, to its left.
