@@ -8,6 +8,7 @@
 
 #include "gaussians/layout.h"
 #include "gaussians/light.h"
+#include "gaussians/occlusion.h"
 #include "gaussians/pages.h"
 
 namespace splatbus {
@@ -62,9 +63,10 @@ struct GaussiansView {
 };
 
 /// The ranges of `gaussians`, which has bounds, that a camera may see (PageFrustum); those of objects that are not in
-/// the scene are left out.
+/// the scene are left out, and those that `surfaces`, in host memory, hide: never the far field's.
 [[nodiscard]] std::vector<IndexRange> select_ranges(const GaussiansView& gaussians, const FrustumCamera& camera,
-                                                    const Rigid& world_from_camera, const ObjectTransforms& objects);
+                                                    const Rigid& world_from_camera, const ObjectTransforms& objects,
+                                                    const FarthestSurfaces& surfaces = {});
 
 /// Bounds of Gaussians in host memory, for GaussiansView::bounds.
 [[nodiscard]] PageBounds bounds_of(const GaussiansView& gaussians, const IndexRange& range);

@@ -10,24 +10,38 @@
 namespace splatbus {
 
 std::vector<IndexRange> select_ranges(const GaussiansView& gaussians, const FrustumCamera& camera,
-                                      const Rigid& world_from_camera, const ObjectTransforms& objects) {
+                                      const Rigid& world_from_camera, const ObjectTransforms& objects,
+                                      const FarthestSurfaces& surfaces) {
+  struct Frame {
+    math::Rigid camera_from_frame;
+    float scale = 1;
+    PageFrustum frustum;
+  };
   const Rigid camera_from_world = inverse(world_from_camera);
-  std::unordered_map<std::uint32_t, std::optional<PageFrustum>> frustum_of;
-  const auto frustum = [&](std::uint32_t frame_id) -> const std::optional<PageFrustum>& {
-    const auto [entry, is_new] = frustum_of.try_emplace(frame_id);
+  std::unordered_map<std::uint32_t, std::optional<Frame>> frames;
+  const auto frame = [&](std::uint32_t frame_id) -> const std::optional<Frame>& {
+    const auto [entry, is_new] = frames.try_emplace(frame_id);
     if (!is_new) return entry->second;
+    const auto seen_as = [&](const Rigid& camera_from_frame, float scale) {
+      const math::Rigid rigid = portable(camera_from_frame);
+      entry->second = Frame{rigid, scale, page_frustum(camera, rigid, scale)};
+    };
     if (frame_id == kWorldFrame) {
-      entry->second = page_frustum(camera, portable(camera_from_world));
+      seen_as(camera_from_world, 1);
     } else if (const auto object = objects.find(frame_id); object != objects.end()) {
       const ObjectTransform seen = seen_from(world_from_camera.translation, frame_id, object->second);
-      entry->second = page_frustum(camera, portable(camera_from_world * seen.rigid), seen.scale);
+      seen_as(camera_from_world * seen.rigid, seen.scale);
     }
     return entry->second;
   };
   std::vector<IndexRange> selected;
   for (std::size_t k = 0; k < gaussians.ranges.size(); ++k) {
-    const auto& sides = frustum(gaussians.ranges[k].frame_id);
-    if (sides && may_show(*sides, gaussians.bounds[k])) selected.push_back(gaussians.ranges[k]);
+    const IndexRange& range = gaussians.ranges[k];
+    const auto& of = frame(range.frame_id);
+    if (!of || !may_show(of->frustum, gaussians.bounds[k])) continue;
+    const bool hidden = range.frame_id != kFarFieldFrame &&
+                        is_behind(surfaces, camera, of->camera_from_frame, of->scale, gaussians.bounds[k]);
+    if (!hidden) selected.push_back(range);
   }
   return selected;
 }

@@ -69,14 +69,18 @@ struct FrustumCamera {
   float max_tan_x, max_tan_y;  ///< largest |tangent| after the clamp
 };
 
+/// Standard deviations at which an opacity of 1 falls below 1/255, sqrt(2 ln 255).
+inline constexpr float kReach = 3.3300F;
+/// Added to what a Gaussian reaches, for pixels' sides and rounding.
+inline constexpr float kReachSlack_px = 1.5F;
+
 /// Exact: what it leaves out shows in no pixel. With the local affine approximation (Zwicker et al. 2001) a Gaussian of
 /// standard deviation s at depth z reaches at most r (s fx sqrt(1 + tan_x^2) / z + sqrt(blur)) pixels to the side,
-/// where r = sqrt(2 ln 255) is where an opacity of 1 falls below 1/255. Multiplied by z this is linear in the mean.
-/// A point of the page is at camera_from_page * (scale * point).
+/// with r of kReach. Multiplied by z this is linear in the mean. A point of the page is at camera_from_page * (scale *
+/// point).
 SPLATBUS_PORTABLE PageFrustum page_frustum(const FrustumCamera& camera, const math::Rigid& camera_from_page,
                                            float scale = 1) {
-  constexpr float kReach = 3.3300F, kSlack_px = 1.5F;
-  const float blur_px = kReach * sqrtf(camera.blur_px2) + kSlack_px;
+  const float blur_px = kReach * sqrtf(camera.blur_px2) + kReachSlack_px;
   const math::Mat3 page_from_camera = math::transposed(camera_from_page.rotation);
   const auto side = [&](const math::Vec3& normal, float offset, float per_scale) {
     return PageFrustum::HalfSpace{page_from_camera * normal * scale, dot(normal, camera_from_page.translation) + offset,

@@ -29,6 +29,8 @@ struct RenderOptions {
   float blur_px2 = 0.3F;  ///< added to the diagonal of the projected covariance, pixels squared
   bool albedo = false;    ///< also render the albedo, unlit (Transfer only)
   bool depth = false;     ///< also render depth: sum of weight * z, not normalised, metres
+  /// Pages with bounds that these hide are left out; in memory of the device that draws.
+  FarthestSurfaces hidden_behind = {};
 };
 
 /// Planes of a render: colour (Transfer: linear over background; Radiance: display space over background converted to

@@ -170,7 +170,10 @@ double CpuStep::render_loss(const PairedView& paired, float scale) {
   const bool with_albedo = options_.albedo_weight > 0 && !view.albedo.empty();
   const bool with_depth = options_.depth_weight > 0 && !view.depth.empty();
   const raster::RenderOptions render_options{
-      .antialias = options_.antialias, .albedo = with_albedo, .depth = with_depth};
+      .antialias = options_.antialias,
+      .albedo = with_albedo,
+      .depth = with_depth,
+      .hidden_behind = options_.cull_hidden ? view.farthest_surfaces() : FarthestSurfaces{}};
   GaussiansView gaussians = store_.view();
   if (!options_.cull) gaussians.bounds = {};
   gaussians.visibility_u8 = paired.visibility.values.get();

@@ -23,6 +23,8 @@ void Options::bind(bus::ParameterBinder& p) {
   p.add("seed", seed, "random seed of the order of views", {0, kMaxSteps}, kFixed);
   p.add("threads", threads, "CPU rasterizer threads (0: one per core)", {0, 256}, kFixed);
   p.add("cull", cull, "leave pages outside of a view's frustum out of its steps; false: to compare with", kFixed);
+  p.add("cull_hidden", cull_hidden,
+        "leave pages that the surfaces of a view's picture hide out of its steps; false: to compare with", kFixed);
   p.add("world", world.folder, "folder that keeps the model across runs; empty: none", kFixed);
   p.add("world_period_s", world.period_s, "time between commits to the world folder, s", {0.01, 60}, kFixed);
   p.add("world_mb_s", world.bytes_per_s, "most pages with changed values written to the world folder, MiB/s", {1, 4096},

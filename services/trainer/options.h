@@ -72,6 +72,7 @@ struct Options {
   std::uint64_t seed = 1;
   int threads = 0;   ///< 0: all cores
   bool cull = true;  ///< pages that a view's frustum does not touch are left out of its passes
+  bool cull_hidden = true;  ///< with cull: and those that the surfaces of its picture hide
   WorldParameters world;
 
   // Changed at run time.

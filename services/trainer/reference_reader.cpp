@@ -7,6 +7,7 @@
 #include "bus/memory.h"
 #include "device/buffer.h"
 #include "gaussians/portable.h"
+#include "trainer/farthest_surfaces.h"
 #include "trainer/memory_failure.h"
 #include "trainer/object_mask.h"
 #include "trainer/sky_albedo.h"
@@ -56,6 +57,21 @@ bool ReferenceReader::read_albedo(const bus::Message& message, TrainingView& vie
     view.albedo = Pixels<std::uint8_t>({buffer, albedo}, tensor->elements());
     return true;
   });
+}
+
+bool ReferenceReader::read_depth(const bus::Message& message, TrainingView& view) {
+  const std::uint32_t width = view.camera.width, height = view.camera.height;
+  if (!read_picture(message, "depth", {height, width}, view.depth)) return false;
+  in_own_memory([&] {
+    const std::size_t squares = surface_squares(width, height);
+    const auto buffer = pool_.take(squares * sizeof(float));
+    auto* const farthest_m = reinterpret_cast<float*>(buffer.get());
+    const device::StreamView stream = device::thread_stream(memory_);
+    find_farthest_surfaces(stream, view.depth.data(), width, height, farthest_m);
+    stream.wait();
+    view.farthest_m = Pixels<float>({buffer, farthest_m}, squares);
+  });
+  return true;
 }
 
 bool ReferenceReader::read_mask(const bus::Message& message, TrainingView& view) {
@@ -129,7 +145,7 @@ ReferenceReading ReferenceReader::read(const bus::Message& message, bool with_de
   }
   bool whole = read_picture(message, "color", {h, w, 4}, view.color);
   if (whole && with_albedo) whole = read_albedo(message, view);
-  if (whole && with_depth) whole = read_picture(message, "depth", {h, w}, view.depth);
+  if (whole && with_depth) whole = read_depth(message, view);
   whole = whole && read_mask(message, view);
   reading.lost = !whole;
   if (whole) reading.view = std::make_shared<const TrainingView>(std::move(view));

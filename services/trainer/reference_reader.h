@@ -39,6 +39,7 @@ class ReferenceReader {
   /// With what the far field's Gaussians show in it (sky_albedo.h).
   [[nodiscard]] bool read_albedo(const bus::Message& message, TrainingView& view);
   /// Of the objects that are not to be modelled.
+  [[nodiscard]] bool read_depth(const bus::Message& message, TrainingView& view);
   [[nodiscard]] bool read_mask(const bus::Message& message, TrainingView& view);
 
   Device memory_;

@@ -9,6 +9,7 @@
 #include "device/device.h"
 #include "gaussians/camera.h"
 #include "gaussians/light.h"
+#include "gaussians/occlusion.h"
 
 namespace splatbus::trainer {
 
@@ -46,9 +47,13 @@ struct TrainingView {
   Pixels<std::uint8_t> albedo;    ///< the same, or empty
   Pixels<float> depth;            ///< [h][w] metres along z, 0 where there is no surface; or empty
   Pixels<std::uint8_t> mask;      ///< [h][w] not 0 where nothing is to be learned; or empty
+  Pixels<float> farthest_m;       ///< FarthestSurfaces of the depth; or empty
   std::uint32_t kept_number = 0;  ///< among those of where cameras stood before; 0: the camera's own
 
-  [[nodiscard]] std::size_t bytes() const { return color.bytes() + albedo.bytes() + depth.bytes() + mask.bytes(); }
+  [[nodiscard]] FarthestSurfaces farthest_surfaces() const { return {farthest_m.data()}; }
+  [[nodiscard]] std::size_t bytes() const {
+    return color.bytes() + albedo.bytes() + depth.bytes() + mask.bytes() + farthest_m.bytes();
+  }
 };
 
 using TrainingViewPtr = std::shared_ptr<const TrainingView>;

@@ -4,6 +4,7 @@
 #include <cstdint>
 
 #include "gaussians/layout.h"
+#include "gaussians/occlusion.h"
 #include "gaussians/pages.h"
 #include "raster/shading_source.h"
 
@@ -47,6 +48,7 @@ SPLATBUS_PORTABLE bool is_hidden(const ObjectView& object) {
 /// One camera of a batch. All cameras of a batch have one size.
 struct DeviceView {
   const std::uint8_t* visibility;  ///< of the sun, by index; null: the Gaussians' own
+  FarthestSurfaces hidden_behind;
   float fx, fy, cx, cy;            ///< pixels
   float near_m;
   float limit_x_low, limit_x_high, limit_y_low, limit_y_high;  ///< clamp of x/z and y/z in the Jacobian

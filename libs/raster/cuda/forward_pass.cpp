@@ -20,7 +20,12 @@ void check_arguments(const DeviceGaussians& gaussians, const Camera& camera) {
 void ForwardPass::draw(const DeviceGaussians& gaussians, const Camera& camera, const SceneState& scene,
                        const RenderOptions& options, bool training) {
   check_arguments(gaussians, camera);
-  const SceneView view{camera, &scene, gaussians.visibility_u8, gaussians.visibility_stride, gaussians.visibility_rows};
+  const SceneView view{camera,
+                       &scene,
+                       gaussians.visibility_u8,
+                       gaussians.visibility_stride,
+                       gaussians.visibility_rows,
+                       options.hidden_behind};
   const ViewTables tables = make_view_tables({&view, 1}, gaussians.layout.appearance);
   WorkspaceRequest request{.count = gaussians.count,
                            .batch = 1,

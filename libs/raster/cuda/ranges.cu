@@ -25,15 +25,25 @@ __device__ FrustumCamera frustum_camera(const DeviceView& view, const WorkspaceV
           .max_tan_y = fmaxf(fabsf(view.limit_y_low), fabsf(view.limit_y_high))};
 }
 
-__device__ PageFrustum frustum_of(const ObjectView& object, const FrustumCamera& camera) {
+/// Without its scale.
+__device__ math::Rigid rigid_of(const ObjectView& object) {
   const float* v = object.view_from_object;
   const float s = 1.0F / object.scale;
   const math::Mat3 rotation{
       {s * v[0], s * v[4], s * v[8]}, {s * v[1], s * v[5], s * v[9]}, {s * v[2], s * v[6], s * v[10]}};
-  return page_frustum(camera, {rotation, {v[3], v[7], v[11]}}, object.scale);
+  return {rotation, {v[3], v[7], v[11]}};
 }
 
-/// The views that a range may show in.
+/// Whether a range of the model may show in a view, by its bounds.
+__device__ bool shows(const DeviceView& view, const FrustumCamera& camera, const ObjectView& object,
+                      const IndexRange& range, const PageBounds& bounds) {
+  const math::Rigid view_from_object = rigid_of(object);
+  if (!may_show(page_frustum(camera, view_from_object, object.scale), bounds)) return false;
+  return range.frame_id == kFarFieldFrame ||
+         !is_behind(view.hidden_behind, camera, view_from_object, object.scale, bounds);
+}
+
+/// The views that range k may show in.
 __device__ std::uint32_t views_of(const DeviceGaussians& g, const WorkspaceView& w, int k, std::uint16_t slot,
                                   float blur_px2) {
   // Where each Gaussian has an object of its own, the range's says only where its bounds are.
@@ -43,9 +53,10 @@ __device__ std::uint32_t views_of(const DeviceGaussians& g, const WorkspaceView&
   for (int b = 0; b < w.batch; ++b) {
     const ObjectView& object = w.object_views[b * w.object_count + slot];
     if (is_hidden(object)) continue;
-    const bool shows =
-        g.bounds == nullptr || may_show(frustum_of(object, frustum_camera(w.views[b], w, blur_px2)), g.bounds[k]);
-    if (shows) views |= 1U << b;
+    const DeviceView& view = w.views[b];
+    if (g.bounds == nullptr || shows(view, frustum_camera(view, w, blur_px2), object, g.ranges[k], g.bounds[k])) {
+      views |= 1U << b;
+    }
   }
   return views;
 }

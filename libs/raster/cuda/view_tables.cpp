@@ -15,6 +15,7 @@ DeviceView device_view(const SceneView& of, Appearance appearance) {
   const Light& light = of.scene->light;
   DeviceView view{};
   view.visibility = of.visibility;
+  view.hidden_behind = of.hidden_behind;
   view.fx = camera.fx;
   view.fy = camera.fy;
   view.cx = camera.cx;

@@ -17,6 +17,8 @@ struct SceneView {
   const std::uint8_t* visibility = nullptr;
   std::size_t visibility_stride = 0;  ///< elements from one light's row to the next
   std::uint32_t visibility_rows = 1;
+  /// Pages with bounds that these hide, but for the far field's, are left out; on the device.
+  FarthestSurfaces hidden_behind = {};
 };
 
 /// The small tables of a batch, in host memory, ready to be copied to the device.

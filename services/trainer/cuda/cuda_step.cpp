@@ -42,7 +42,7 @@ std::span<const PairedView> with_room(std::span<const PairedView> views) {
   return views.first(count);
 }
 
-std::vector<raster::cuda::TrainView> train_views(std::span<const PairedView> views) {
+std::vector<raster::cuda::TrainView> train_views(std::span<const PairedView> views, bool cull_hidden) {
   std::vector<raster::cuda::TrainView> out;
   for (const PairedView& paired : views) {
     const TrainingViewPtr& view = paired.view;
@@ -51,7 +51,8 @@ std::vector<raster::cuda::TrainView> train_views(std::span<const PairedView> vie
                             .scene = &view->scene,
                             .visibility = paired.visibility.values.get(),
                             .visibility_stride = paired.visibility.stride,
-                            .visibility_rows = paired.visibility.rows},
+                            .visibility_rows = paired.visibility.rows,
+                            .hidden_behind = cull_hidden ? view->farthest_surfaces() : FarthestSurfaces{}},
                    .color = view->color.data(),
                    .albedo = view->albedo.empty() ? nullptr : view->albedo.data(),
                    .depth = view->depth.empty() ? nullptr : view->depth.data(),
@@ -64,7 +65,7 @@ std::vector<raster::cuda::TrainView> train_views(std::span<const PairedView> vie
 class CudaStep final : public GradientStep {
  public:
   CudaStep(model::PageStore& store, const Options& options)
-      : store_(store), cull_(options.cull), train_(train_options(options)) {
+      : store_(store), cull_(options.cull), cull_hidden_(options.cull_hidden), train_(train_options(options)) {
     train_.set_model(gaussians(), store.view().ranges);
   }
   ~CudaStep() override { cudaStreamSynchronize(train_.stream()); }
@@ -76,7 +77,7 @@ class CudaStep final : public GradientStep {
     train_.set_learning_rates(channel_learning_rates(options));
   }
 
-  void step(std::span<const PairedView> views) override { train_.step(train_views(with_room(views))); }
+  void step(std::span<const PairedView> views) override { train_.step(train_views(with_room(views), cull_hidden_)); }
 
   StepReport finished(bool wait) override {
     auto done = train_.finished(wait);
@@ -136,7 +137,7 @@ class CudaStep final : public GradientStep {
   }
 
   model::PageStore& store_;
-  const bool cull_;
+  const bool cull_, cull_hidden_;
   raster::cuda::TrainStep train_;
 };
 
