@@ -25,8 +25,8 @@ struct FarthestSurfaces {
 inline constexpr float kHiddenPart = 0.03F, kHiddenMargin_m = 0.05F;
 
 /// True when all that a page's Gaussians could reach shows surfaces that are nearer than every mean. A camera must
-/// have been tried by may_show(); frames as in page_frustum(). What a page is hidden by is the engine's picture: a model
-/// whose surfaces let light through looks otherwise without what is behind them.
+/// have been tried by may_show(); frames as in page_frustum(). What a page is hidden by is the engine's picture: a
+/// model whose surfaces let light through looks otherwise without what is behind them.
 SPLATBUS_PORTABLE bool is_behind(const FarthestSurfaces& surfaces, const FrustumCamera& camera,
                                  const math::Rigid& camera_from_page, float scale, const PageBounds& bounds) {
   if (surfaces.depth_m == nullptr) return false;

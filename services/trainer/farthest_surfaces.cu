@@ -16,8 +16,8 @@ struct FindFarthest {
     float farthest = 0;
     for (int row = max_of(0, y - 1); row < min_of(height, y + kSide + 1); ++row) {
       for (int column = max_of(0, x - 1); column < min_of(width, x + kSide + 1); ++column) {
-        const float depth = depth_m[static_cast<std::size_t>(row) * static_cast<std::size_t>(width) +
-                                    static_cast<std::size_t>(column)];
+        const float depth =
+            depth_m[static_cast<std::size_t>(row) * static_cast<std::size_t>(width) + static_cast<std::size_t>(column)];
         farthest = depth > 0 ? math::larger(depth, farthest) : INFINITY;
         if (!math::is_finite(farthest)) {
           farthest_m[square] = INFINITY;

@@ -13,8 +13,8 @@ namespace splatbus::trainer {
   return std::size_t{FarthestSurfaces::squares(width)} * FarthestSurfaces::squares(height);
 }
 
-/// FarthestSurfaces::depth_m of a picture whose depth is [height][width], metres along z, 0 where there is no surface. All
-/// on the stream's device.
+/// FarthestSurfaces::depth_m of a picture whose depth is [height][width], metres along z, 0 where there is no surface.
+/// All on the stream's device.
 void find_farthest_surfaces(device::StreamView stream, const float* depth_m, std::uint32_t width, std::uint32_t height,
                             float* farthest_m);
 

@@ -70,8 +70,8 @@ struct Options {
   std::size_t max_gaussians = kDefaultMaxGaussians;
   std::size_t max_picture_pixels = 1U << 24U;  ///< larger pictures are refused
   std::uint64_t seed = 1;
-  int threads = 0;   ///< 0: all cores
-  bool cull = true;  ///< pages that a view's frustum does not touch are left out of its passes
+  int threads = 0;          ///< 0: all cores
+  bool cull = true;         ///< pages that a view's frustum does not touch are left out of its passes
   bool cull_hidden = true;  ///< with cull: and those that the surfaces of its picture hide
   WorldParameters world;
 

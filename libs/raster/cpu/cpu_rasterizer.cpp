@@ -68,8 +68,8 @@ void CpuRasterizer::list_pieces(const SceneState& scene) {
                                 .blur_px2 = frame_.options.blur_px2,
                                 .max_tan_x = max_tan(frame_.tan_limit_x_low, frame_.tan_limit_x_high),
                                 .max_tan_y = max_tan(frame_.tan_limit_y_low, frame_.tan_limit_y_high)};
-    shown_ranges_ = select_ranges(shown, pinhole, camera.world_from_camera, scene.objects,
-                                  frame_.options.hidden_behind);
+    shown_ranges_ =
+        select_ranges(shown, pinhole, camera.world_from_camera, scene.objects, frame_.options.hidden_behind);
     shown.ranges = shown_ranges_;
   }
   cut_pieces(shown, kGaussianPiece, frame_.pieces);

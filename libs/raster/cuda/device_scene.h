@@ -49,7 +49,7 @@ SPLATBUS_PORTABLE bool is_hidden(const ObjectView& object) {
 struct DeviceView {
   const std::uint8_t* visibility;  ///< of the sun, by index; null: the Gaussians' own
   FarthestSurfaces hidden_behind;
-  float fx, fy, cx, cy;            ///< pixels
+  float fx, fy, cx, cy;  ///< pixels
   float near_m;
   float limit_x_low, limit_x_high, limit_y_low, limit_y_high;  ///< clamp of x/z and y/z in the Jacobian
   float background[3];                                         ///< in the space that is blended in

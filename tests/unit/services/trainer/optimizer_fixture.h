@@ -33,6 +33,7 @@ inline TrainingViewPtr placed(const TrainingView& view, Device memory) {
   copy.albedo = placed(view.albedo, memory);
   copy.depth = placed(view.depth, memory);
   copy.mask = placed(view.mask, memory);
+  copy.farthest_m = placed(view.farthest_m, memory);
   return std::make_shared<const TrainingView>(std::move(copy));
 }
 
