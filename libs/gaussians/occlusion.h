@@ -24,6 +24,9 @@ struct FarthestSurfaces {
 /// Of the rounding of a depth, and of how far from its surface a Gaussian comes to lie.
 inline constexpr float kHiddenPart = 0.03F, kHiddenMargin_m = 0.05F;
 
+/// Squares that are looked at for one page at most: one that could reach more is taken for seen.
+inline constexpr std::uint32_t kMostSquares = 1024;
+
 /// True when all that a page's Gaussians could reach shows surfaces that are nearer than every mean. A camera must
 /// have been tried by may_show(); frames as in page_frustum(). What a page is hidden by is the engine's picture: a
 /// model whose surfaces let light through looks otherwise without what is behind them.
@@ -56,6 +59,7 @@ SPLATBUS_PORTABLE bool is_behind(const FarthestSurfaces& surfaces, const Frustum
                       last_column = square(right + reach_x, camera.width);
   const std::uint32_t first_row = square(top - reach_y, camera.height),
                       last_row = square(bottom + reach_y, camera.height);
+  if ((last_row - first_row + 1) * (last_column - first_column + 1) > kMostSquares) return false;
   const std::uint32_t columns = FarthestSurfaces::squares(static_cast<std::uint32_t>(camera.width));
   for (std::uint32_t row = first_row; row <= last_row; ++row) {
     for (std::uint32_t column = first_column; column <= last_column; ++column) {

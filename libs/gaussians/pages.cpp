@@ -20,19 +20,20 @@ std::vector<IndexRange> select_ranges(const GaussiansView& gaussians, const Frus
   const Rigid camera_from_world = inverse(world_from_camera);
   std::unordered_map<std::uint32_t, std::optional<Frame>> frames;
   const auto frame = [&](std::uint32_t frame_id) -> const std::optional<Frame>& {
-    const auto [entry, is_new] = frames.try_emplace(frame_id);
-    if (!is_new) return entry->second;
-    const auto seen_as = [&](const Rigid& camera_from_frame, float scale) {
+    const auto entry = frames.try_emplace(frame_id);
+    std::optional<Frame>& known = entry.first->second;
+    if (!entry.second) return known;
+    const auto see_as = [&](const Rigid& camera_from_frame, float scale) {
       const math::Rigid rigid = portable(camera_from_frame);
-      entry->second = Frame{rigid, scale, page_frustum(camera, rigid, scale)};
+      known = Frame{rigid, scale, page_frustum(camera, rigid, scale)};
     };
     if (frame_id == kWorldFrame) {
-      seen_as(camera_from_world, 1);
+      see_as(camera_from_world, 1);
     } else if (const auto object = objects.find(frame_id); object != objects.end()) {
       const ObjectTransform seen = seen_from(world_from_camera.translation, frame_id, object->second);
-      seen_as(camera_from_world * seen.rigid, seen.scale);
+      see_as(camera_from_world * seen.rigid, seen.scale);
     }
-    return entry->second;
+    return known;
   };
   std::vector<IndexRange> selected;
   for (std::size_t k = 0; k < gaussians.ranges.size(); ++k) {

@@ -29,7 +29,7 @@ struct RenderOptions {
   float blur_px2 = 0.3F;  ///< added to the diagonal of the projected covariance, pixels squared
   bool albedo = false;    ///< also render the albedo, unlit (Transfer only)
   bool depth = false;     ///< also render depth: sum of weight * z, not normalised, metres
-  /// Pages with bounds that these hide are left out; in memory of the device that draws.
+  /// Pages that these hide by their bounds are left out, but for the far field's; in memory of the device that draws.
   FarthestSurfaces hidden_behind = {};
 };
 

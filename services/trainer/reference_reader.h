@@ -38,8 +38,9 @@ class ReferenceReader {
                                   Pixels<T>& out);
   /// With what the far field's Gaussians show in it (sky_albedo.h).
   [[nodiscard]] bool read_albedo(const bus::Message& message, TrainingView& view);
-  /// Of the objects that are not to be modelled.
+  /// And how far the farthest surfaces are in it (farthest_surfaces.h).
   [[nodiscard]] bool read_depth(const bus::Message& message, TrainingView& view);
+  /// Of the objects that are not to be modelled.
   [[nodiscard]] bool read_mask(const bus::Message& message, TrainingView& view);
 
   Device memory_;

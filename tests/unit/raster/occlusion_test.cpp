@@ -80,8 +80,8 @@ class Hidden : public ::testing::TestWithParam<float> {
     view.ranges = range;
     view.bounds = bounds;
     const float tan_x = 1.3F * 0.5F * kWidth / camera_.fx, tan_y = 1.3F * 0.5F * kHeight / camera_.fy;
-    const FrustumCamera pinhole{camera_.fx,     camera_.fy, camera_.cx, camera_.cy, kWidth, kHeight,
-                                camera_.near_m, 0.3F,       tan_x,      tan_y};
+    const FrustumCamera pinhole{camera_.fx, camera_.fy,     camera_.cx, camera_.cy, kWidth,
+                                kHeight,    camera_.near_m, 0.3F,       tan_x,      tan_y};
     return !select_ranges(view, pinhole, camera_.world_from_camera, one.state.objects, surfaces).empty();
   }
 

@@ -53,8 +53,8 @@ class HiddenPages : public OptimizerTest, public testing::WithParamInterface<Dev
 TEST_P(HiddenPages, TheFarthestOfASquareAndOfThePixelsAboutIt) {
   constexpr std::uint32_t kWidth = 19, kHeight = 10;
   std::vector<float> depth_m(std::size_t{kWidth} * kHeight, 2.0F);
-  depth_m[7 * kWidth + 8] = 5;    // in the second square, beside the first and above the lower two
-  depth_m[9 * kWidth + 18] = 0;   // no surface in the last
+  depth_m[7 * kWidth + 8] = 5;     // in the second square, beside the first and above the lower two
+  depth_m[9 * kWidth + 18] = 0;    // no surface in the last
   depth_m[0 * kWidth + 17] = NAN;  // nor a number in the upper right one
   depth_m[3 * kWidth + 3] = 0.5F;  // nearer than all about it
   const std::vector<float> expected{5, 5, INFINITY, 5, 5, INFINITY};
@@ -67,6 +67,20 @@ TEST_P(HiddenPages, WhatIsHiddenDoesNotLearn) {
   EXPECT_GT(moved_by(covered(0.02F), {{"cull", "false"}}), 1e-4);
   EXPECT_GT(moved_by(covered(100), {}), 1e-4) << "a wall behind everything hides nothing";
   EXPECT_GT(moved_by(covered(0), {}), 1e-4) << "and neither does the sky";
+}
+
+TEST_P(HiddenPages, WhatShowsBesideAWallLearns) {
+  TrainingView view = *scene_.views()[0];
+  const std::uint32_t width = view.camera.width, height = view.camera.height;
+  for (const bool wall_at_left : {false, true}) {
+    // All but one column of squares: the page reaches beyond it on either side.
+    std::vector<float> depth_m(std::size_t{width} * height, 0.02F);
+    for (std::uint32_t row = 0; row < height; ++row) {
+      depth_m[std::size_t{row} * width + (wall_at_left ? width / 2 + 4 : width / 2 - 4)] = 0;
+    }
+    view.farthest_m = Pixels<float>(farthest(depth_m, width, height));
+    EXPECT_GT(moved_by(view, {}), 1e-4) << wall_at_left;
+  }
 }
 
 INSTANTIATE_TEST_SUITE_P(Devices, HiddenPages, testing::Values(Device::Cpu, Device::Cuda),
