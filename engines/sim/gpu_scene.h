@@ -1,13 +1,17 @@
 #pragma once
 
 #include <array>
-#include <map>
+#include <cstdint>
+#include <glm/glm.hpp>
 #include <span>
+#include <tuple>
+#include <utility>
 #include <vector>
 
 #include "gl/objects.h"
 #include "sim/scene.h"
 #include "sim/shaders.h"
+#include "sim/texture_arrays.h"
 
 namespace splatbus::sim {
 
@@ -33,30 +37,32 @@ class GpuScene {
   /// In the world, of moving shadow casters that exist.
   [[nodiscard]] std::vector<Bounds> moving_bounds() const;
 
-  /// Draws what may be seen, nearest first, with the program that `program_for` gives for parts with and without holes,
-  /// and for depth alone. Framebuffer, viewport and the uniforms that do not depend on the part are the caller's.
+  /// Draws what may be seen with the programs that `program_for` gives for parts with and without holes, emissive or
+  /// not; of those that have a program and a texture in common the nearest first, in one call. Framebuffer, viewport
+  /// and the uniforms that do not depend on the part are the caller's.
   ///
   /// Enclosed objects come last, and only those of whose boxes anything is seen past the others: the picture is the
   /// same as if all of them were drawn.
   template <class ProgramFor>
   void draw(const glm::mat4& clip_from_world, const ShaderVariant& variant, Shown shown, ProgramFor&& program_for) {
+    const VisibleParts visible = visible_parts(clip_from_world, shown);
     glBindVertexArray(vertex_array_.get());
-    VisibleParts visible = visible_parts(clip_from_world, shown);
-    draw_parts(visible.open, variant, program_for, {});
-    SeenQueries seen;
-    if (cull_ && !visible.enclosed.empty()) {
-      seen = ask_what_is_seen(visible.enclosed, clip_from_world,
-                              program_for(ShaderVariant{.kind = ShaderVariant::Kind::Depth}));
-    }
-    draw_parts(visible.enclosed, variant, program_for, seen);
+    draw_list(open_, list_commands(visible.open, variant, open_), variant, program_for);
+    if (visible.enclosed.empty()) return;
+    const std::vector<Group> groups = list_commands(visible.enclosed, variant, enclosed_);
+    if (cull_) leave_out_unseen(visible.enclosed, clip_from_world);
+    draw_list(enclosed_, groups, variant, program_for);
   }
 
  private:
+  struct MeshRange {
+    std::int32_t first_vertex = 0;
+    std::uint32_t first_index = 0, index_count = 0;
+  };
   struct Part {
     std::size_t object;
-    std::int32_t first_vertex;
-    std::uint32_t first_index, index_count;
-    std::size_t texture;
+    MeshRange mesh;
+    TextureArrays::Place texture;
     glm::vec3 base_color;
     float alpha_cutoff;
     bool double_sided;
@@ -66,10 +72,36 @@ class GpuScene {
     std::uint32_t id;
     bool casts_shadow, in_light_depth, emissive, moving, enclosed;
     bool exists;
-    Bounds bounds_local;
+    std::size_t first_part, part_count;
+    Bounds box;  ///< its own frame; a little more than all of its parts
     glm::mat4 world_from_object;
-    glm::mat3 normal_matrix;
     Bounds bounds_world;
+  };
+  /// What shaders read of a part, or of an object's box.
+  struct InstanceData {
+    glm::mat4 world_from_part;
+    glm::mat3 normal_matrix;
+    glm::vec3 base_color;
+    float alpha_cutoff;
+    std::uint32_t object_id, layer, object;
+  };
+  /// As OpenGL reads it.
+  struct Command {
+    std::uint32_t index_count, instance_count, first_index;
+    std::int32_t first_vertex;
+    std::uint32_t first_instance;  ///< the part, or behind all of them the object's box
+  };
+  /// Commands in a row that one call draws.
+  struct Group {
+    bool holes, emissive, double_sided;
+    std::size_t texture_array;
+    std::size_t first = 0, count = 0;
+    [[nodiscard]] auto kind() const { return std::tuple(holes, emissive, double_sided, texture_array); }
+  };
+  struct CommandList {
+    GlBuffer buffer;
+    std::size_t room = 0;
+    std::vector<Command> commands;
   };
 
   struct VisibleParts {
@@ -77,38 +109,45 @@ class GpuScene {
   };
   [[nodiscard]] bool shows(const ObjectState& object, Shown shown) const;
   [[nodiscard]] VisibleParts visible_parts(const glm::mat4& clip_from_world, Shown shown) const;
-  using SeenQueries = std::map<std::size_t, GLuint>;  ///< by object
-  /// Whether anything of their objects' boxes is before what was drawn. The answers stay on the GPU, which draws by
-  /// them: to wait for them here would take a turn of everybody who shares it.
-  SeenQueries ask_what_is_seen(const std::vector<const Part*>& parts, const glm::mat4& clip_from_world,
-                               GLuint depth_program);
+  /// Sends the parts' commands to the GPU.
+  std::vector<Group> list_commands(const std::vector<const Part*>& parts, const ShaderVariant& variant,
+                                   CommandList& list) const;
+  static void send(CommandList& list);
+  [[nodiscard]] static Command command(const MeshRange& mesh, std::size_t instance);
+  /// Takes the instances of enclosed_ whose objects' boxes are behind what was drawn. The answers stay on the GPU: to
+  /// wait for them here would take a turn of everybody who shares it.
+  void leave_out_unseen(const std::vector<const Part*>& parts, const glm::mat4& clip_from_world);
   template <class ProgramFor>
-  void draw_parts(const std::vector<const Part*>& parts, ShaderVariant variant, ProgramFor&& program_for,
-                  const SeenQueries& seen) {
-    for (const Part* part : parts) {
-      variant.holes = part->alpha_cutoff > 0;
-      variant.emissive = variant.lit && objects_[part->object].emissive;
-      const GLuint program = program_for(variant);
-      const auto query = seen.find(part->object);
-      if (query != seen.end()) glBeginConditionalRender(query->second, GL_QUERY_WAIT);
-      draw_part(*part, variant, program);
-      if (query != seen.end()) glEndConditionalRender();
+  void draw_list(const CommandList& list, const std::vector<Group>& groups, ShaderVariant variant,
+                 ProgramFor&& program_for) const {
+    glBindBuffer(GL_DRAW_INDIRECT_BUFFER, list.buffer.get());
+    for (const Group& group : groups) {
+      variant.holes = group.holes;
+      variant.emissive = group.emissive;
+      draw_group(group, program_for(std::as_const(variant)));
     }
   }
-  void draw_part(const Part& part, const ShaderVariant& variant, GLuint program) const;
-  void upload_textures(const Scene& scene, float anisotropy);
+  void draw_group(const Group& group, GLuint program) const;
+  void add_meshes(const Scene& scene);
+  void add_attributes();
+  /// On the host alone.
   void place(std::size_t object, const glm::mat4& world_from_object);
+  void send_placed(const std::vector<std::size_t>& objects);
 
+  bool cull_;
+  TextureArrays textures_;
   GlBuffer vertices_, indices_;
+  std::vector<InstanceData> instance_data_;  ///< of the parts, then of the objects' boxes
+  GlBuffer instances_;
   GlVertexArray vertex_array_;
-  std::vector<GlTexture> textures_;  ///< the last is plain white
   std::vector<Part> parts_;
   std::vector<ObjectState> objects_;
   std::vector<splatbus_object> listed_;
-  std::vector<GlQuery> queries_;
-  std::int32_t box_vertex_ = 0;  ///< the first of a box of 1 m about the origin
-  std::uint32_t box_index_ = 0, box_index_count_ = 0;
-  bool cull_;
+  CommandList open_, enclosed_, boxes_;
+
+  MeshRange box_;  ///< of 1 m about the origin
+  GlProgram box_program_, instance_program_;
+  GlBuffer object_of_part_, seen_;  ///< by object, whether anything of its box was seen
 };
 
 }  // namespace splatbus::sim

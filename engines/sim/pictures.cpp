@@ -11,7 +11,7 @@ void read(const DrawnPicture& drawn, std::vector<T>& pixels) {
 
 }  // namespace
 
-void HostReadback::begin(std::uint32_t width, std::uint32_t height) {
+void HostReadback::begin(std::uint32_t width, std::uint32_t height, std::size_t /*bytes*/) {
   pictures_.width = width;
   pictures_.height = height;
   for (auto* bytes : {&pictures_.color, &pictures_.albedo}) bytes->clear();

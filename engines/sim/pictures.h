@@ -22,7 +22,7 @@ class HostReadback final : public Readback {
   /// `pictures` outlive it, and are those of the last camera.
   explicit HostReadback(Pictures& pictures) : pictures_(pictures) {}
 
-  void begin(std::uint32_t width, std::uint32_t height) override;
+  void begin(std::uint32_t width, std::uint32_t height, std::size_t bytes) override;
   void take(const DrawnPicture& drawn) override;
 
  private:

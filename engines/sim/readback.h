@@ -30,8 +30,8 @@ inline void read_pixels(const DrawnPicture& drawn, void* pixels) {
 class Readback {
  public:
   virtual ~Readback() = default;
-  /// A camera's pictures follow.
-  virtual void begin(std::uint32_t width, std::uint32_t height) = 0;
+  /// A camera's pictures follow, so many bytes together.
+  virtual void begin(std::uint32_t width, std::uint32_t height, std::size_t bytes) = 0;
   /// Each buffer once. Throws std::runtime_error.
   virtual void take(const DrawnPicture& drawn) = 0;
 };

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <stdexcept>
+#include <utility>
 
 #include "sim/camera_check.h"
 #include "sim/device_readback.h"
@@ -15,6 +16,17 @@ namespace {
 constexpr std::uint32_t kShadeBuffers = SPLATBUS_BUFFER_COLOR | SPLATBUS_BUFFER_ALBEDO;
 constexpr std::uint32_t kGeometryBuffers =
     SPLATBUS_BUFFER_WORLD_POSITION | SPLATBUS_BUFFER_NORMAL | SPLATBUS_BUFFER_DEPTH | SPLATBUS_BUFFER_OBJECT_ID;
+
+/// As splatbus_buffer lays them out.
+std::size_t bytes_a_pixel(std::uint32_t buffers) {
+  constexpr std::array kBytes{std::pair{SPLATBUS_BUFFER_COLOR, 4U},      std::pair{SPLATBUS_BUFFER_WORLD_POSITION, 16U},
+                              std::pair{SPLATBUS_BUFFER_NORMAL, 16U},    std::pair{SPLATBUS_BUFFER_OBJECT_ID, 4U},
+                              std::pair{SPLATBUS_BUFFER_ALBEDO, 4U},     std::pair{SPLATBUS_BUFFER_DEPTH, 4U},
+                              std::pair{SPLATBUS_BUFFER_LIGHT_DEPTH, 4U}};
+  std::size_t bytes = 0;
+  for (const auto& [buffer, of_one] : kBytes) bytes += (buffers & buffer) != 0 ? of_one : 0;
+  return bytes;
+}
 
 /// Beyond them a picture of software costs what its triangles do, not its pixels.
 constexpr std::size_t kManyTriangles = 200'000;
@@ -117,7 +129,8 @@ void Renderer::render(const splatbus_camera& camera, std::uint32_t buffers, Read
 
 void Renderer::render(const LightCamera& view, std::uint32_t buffers, Readback& readback) {
   if (const std::string wrong = camera_problem(view.camera); !wrong.empty()) throw std::runtime_error(wrong);
-  readback.begin(view.camera.width, view.camera.height);
+  readback.begin(view.camera.width, view.camera.height,
+                 std::size_t{view.camera.width} * view.camera.height * bytes_a_pixel(buffers));
   if ((buffers & kShadeBuffers) != 0) {
     impl_->shade(view, (buffers & SPLATBUS_BUFFER_COLOR) != 0, (buffers & SPLATBUS_BUFFER_ALBEDO) != 0, readback);
   }

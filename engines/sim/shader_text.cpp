@@ -7,8 +7,10 @@ layout(location = 0) in vec3 a_position;
 layout(location = 1) in vec3 a_normal;
 layout(location = 2) in vec2 a_uv;
 layout(location = 3) in vec3 a_tint;
-layout(location = 0) uniform mat4 world_from_object;
-layout(location = 1) uniform mat3 normal_matrix;
+layout(location = 4) in mat4 a_world_from_part;
+layout(location = 8) in mat3 a_normal_matrix;
+layout(location = 11) in vec4 a_base_and_cutoff;
+layout(location = 12) in uvec2 a_id_and_layer;
 layout(location = 2) uniform mat4 clip_from_world;
 layout(location = 3) uniform vec4 view_z;
 #ifdef LIT
@@ -24,25 +26,31 @@ out vec3 v_world;
 #ifdef TEXTURED
 out vec2 v_uv;
 out vec3 v_tint;
+flat out vec4 v_base_and_cutoff;
+flat out float v_layer;
 #endif
 #ifdef GEOMETRY
 out vec4 v_world_and_depth;
+flat out uint v_object_id;
 #endif
 #if defined(LIT) || defined(GEOMETRY)
 out vec3 v_normal;
 #endif
 
 void main() {
-  vec4 world = world_from_object * vec4(a_position, 1);
+  vec4 world = a_world_from_part * vec4(a_position, 1);
   gl_Position = clip_from_world * world;
 #ifdef TEXTURED
   v_uv = a_uv;
   v_tint = a_tint;
+  v_base_and_cutoff = a_base_and_cutoff;
+  v_layer = float(a_id_and_layer.y);
 #endif
 #if defined(LIT) || defined(GEOMETRY)
-  v_normal = normal_matrix * a_normal;
+  v_normal = a_normal_matrix * a_normal;
 #endif
 #ifdef GEOMETRY
+  v_object_id = a_id_and_layer.x;
   v_world_and_depth = vec4(world.xyz, dot(view_z, world));
 #endif
 #if defined(LIT) && !defined(CASCADES)
@@ -59,9 +67,9 @@ const char* const kFragmentShader = R"(
 #ifdef TEXTURED
 in vec2 v_uv;
 in vec3 v_tint;
-layout(binding = 0) uniform sampler2D base_texture;
-layout(location = 6) uniform vec3 base_color;
-layout(location = 7) uniform float alpha_cutoff;
+flat in vec4 v_base_and_cutoff;
+flat in float v_layer;
+layout(binding = 0) uniform sampler2DArray base_textures;
 #endif
 #if defined(LIT) || defined(GEOMETRY)
 in vec3 v_normal;
@@ -132,6 +140,7 @@ float reached(sampler2DArrayShadow maps, float layer, vec4 scale, bool pinhole, 
 #ifdef CASCADES
 layout(binding = 1) uniform sampler2DArrayShadow cascade_maps;
 layout(location = 22) uniform vec4 cascade_cameras[4 * CASCADES];
+layout(location = 22 + 4 * CASCADES) uniform float cascade_layers[CASCADES];
 
 DepthMap cascade_map(int i) {
   return DepthMap(cascade_cameras[4 * i], cascade_cameras[4 * i + 1], cascade_cameras[4 * i + 2],
@@ -147,7 +156,7 @@ float sun_visibility(vec3 n) {
     if (max(uv.x, uv.y) < 0.48) break;
   }
   DepthMap map = cascade_map(cascade);
-  return reached(cascade_maps, float(cascade), map.scale, false, seen_by(map, world), seen_by(map, vec4(n, 0)),
+  return reached(cascade_maps, cascade_layers[cascade], map.scale, false, seen_by(map, world), seen_by(map, vec4(n, 0)),
                  seen_by(map, vec4(sun_direction, 0)), dot(n, sun_direction));
 }
 #else
@@ -235,7 +244,7 @@ layout(location = OUT_ALBEDO) out vec4 out_albedo;
 
 #ifdef GEOMETRY
 in vec4 v_world_and_depth;
-layout(location = 5) uniform uint object_id;
+flat in uint v_object_id;
 layout(location = 0) out vec4 out_position;
 layout(location = 1) out vec4 out_normal;
 layout(location = 2) out float out_depth;
@@ -244,11 +253,11 @@ layout(location = 3) out uint out_object_id;
 
 void main() {
 #ifdef TEXTURED
-  vec4 texel = texture(base_texture, v_uv);
+  vec4 texel = texture(base_textures, vec3(v_uv, v_layer));
 #ifdef HOLES
-  if (texel.a < alpha_cutoff) discard;
+  if (texel.a < v_base_and_cutoff.a) discard;
 #endif
-  vec3 base = texel.rgb * base_color * v_tint;
+  vec3 base = texel.rgb * v_base_and_cutoff.rgb * v_tint;
 #endif
 #if defined(LIT) || defined(GEOMETRY)
   vec3 n = normalize(gl_FrontFacing ? v_normal : -v_normal);
@@ -272,8 +281,49 @@ void main() {
   out_position = vec4(v_world_and_depth.xyz, 1);
   out_normal = vec4(n, 0);
   out_depth = v_world_and_depth.w;
-  out_object_id = object_id;
+  out_object_id = v_object_id;
 #endif
+}
+)";
+
+const char* const kBoxVertexShader = R"(
+layout(location = 0) in vec3 a_position;
+layout(location = 4) in mat4 a_world_from_box;
+layout(location = 13) in uint a_object;
+layout(location = 2) uniform mat4 clip_from_world;
+flat out uint v_object;
+
+void main() {
+  v_object = a_object;
+  gl_Position = clip_from_world * (a_world_from_box * vec4(a_position, 1));
+}
+)";
+
+const char* const kBoxFragmentShader = R"(
+layout(early_fragment_tests) in;
+layout(std430, binding = 0) writeonly buffer Seen { uint seen[]; };
+flat in uint v_object;
+
+void main() {
+  seen[v_object] = 1;
+}
+)";
+
+const char* const kInstanceShader = R"(
+layout(local_size_x = 64) in;
+struct Command {
+  uint index_count, instance_count, first_index;
+  int first_vertex;
+  uint part;
+};
+layout(std430, binding = 0) readonly buffer Seen { uint seen[]; };
+layout(std430, binding = 1) buffer Commands { Command commands[]; };
+layout(std430, binding = 2) readonly buffer Objects { uint object_of[]; };
+layout(location = 0) uniform uint count;
+
+void main() {
+  uint i = gl_GlobalInvocationID.x;
+  if (i < count) commands[i].instance_count = seen[object_of[commands[i].part]];
 }
 )";
 

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <initializer_list>
 #include <numbers>
 #include <stdexcept>
 
@@ -26,14 +27,18 @@ std::string info_log(GLuint name, bool program) {
   return text;
 }
 
-GlProgram link(const std::string& defines, const char* vertex_source, const char* fragment_source) {
+struct Stage {
+  GLenum kind;
+  const char* source;  ///< null: there is none
+};
+
+GlProgram link(const std::string& defines, std::initializer_list<Stage> stages) {
   GlProgram program(glCreateProgram());
-  for (const auto& [stage, source] :
-       {std::pair{GL_VERTEX_SHADER, vertex_source}, {GL_FRAGMENT_SHADER, fragment_source}}) {
+  for (const auto& [stage, source] : stages) {
     if (source == nullptr) continue;
     const std::string text = kVersion + defines + source;
     const char* pointer = text.c_str();
-    const GLuint shader = glCreateShader(static_cast<GLenum>(stage));
+    const GLuint shader = glCreateShader(stage);
     glShaderSource(shader, 1, &pointer, nullptr);
     glCompileShader(shader);
     GLint compiled = GL_FALSE;
@@ -96,17 +101,21 @@ GlProgram build_program(const ShaderVariant& variant) {
   }
   if (shade && variant.albedo) defines += "#define ALBEDO\n#define OUT_ALBEDO 1\n";
   const bool fragment = variant.kind != ShaderVariant::Kind::Depth || variant.holes;
-  return link(defines, kVertexShader, fragment ? kFragmentShader : nullptr);
+  return link(defines, {{GL_VERTEX_SHADER, kVertexShader}, {GL_FRAGMENT_SHADER, fragment ? kFragmentShader : nullptr}});
 }
 
 GlProgram build_program(const char* vertex_text, const char* fragment_text) {
-  return link({}, vertex_text, fragment_text);
+  return link({}, {{GL_VERTEX_SHADER, vertex_text}, {GL_FRAGMENT_SHADER, fragment_text}});
+}
+
+GlProgram build_compute_program(const char* text) {
+  return link({}, {{GL_COMPUTE_SHADER, text}});
 }
 
 GlProgram build_resolve_program(int supersample, int samples, bool lit, bool albedo) {
   const std::string defines = fmt::format("#define SUPERSAMPLE {}\n#define SAMPLES {}\n{}{}", supersample, samples,
                                           lit ? "#define LIT\n" : "", albedo ? "#define ALBEDO\n" : "");
-  return link(defines, kResolveVertexShader, kResolveFragmentShader);
+  return link(defines, {{GL_VERTEX_SHADER, kResolveVertexShader}, {GL_FRAGMENT_SHADER, kResolveFragmentShader}});
 }
 
 }  // namespace splatbus::sim

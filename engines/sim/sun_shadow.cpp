@@ -6,6 +6,8 @@
 #include <glm/gtc/matrix_inverse.hpp>
 #include <glm/gtc/matrix_transform.hpp>
 #include <glm/gtc/type_ptr.hpp>
+#include <numeric>
+#include <span>
 
 #include "sim/projection.h"
 
@@ -19,6 +21,13 @@ constexpr float kWidestTexel_m = 0.025F;  // of a map that is alone
 /// anew every 6 m. It reaches at least three eighths of its width from an eye.
 constexpr float kStep = 0.25F;
 
+/// Layers of each cascade: what surrounds a corner of its places lies in four of them. The last one is everybody's.
+constexpr std::array<std::size_t, kCascades> kKept{4, 4, 1};
+
+std::size_t first_layer(std::size_t cascade) {
+  return std::accumulate(kKept.begin(), kKept.begin() + static_cast<std::ptrdiff_t>(cascade), std::size_t{0});
+}
+
 bool same_map(const splatbus_camera& a, const splatbus_camera& b) {
   const float* p = a.world_from_camera.translation;
   const float* q = b.world_from_camera.translation;
@@ -28,16 +37,19 @@ bool same_map(const splatbus_camera& a, const splatbus_camera& b) {
 }  // namespace
 
 SunShadow::SunShadow(int size, const Bounds& casters, const Bounds& receivers)
-    : size_(size), casters_(casters), receivers_(receivers) {
-  const float across_m = casters.empty() ? 0 : glm::distance(casters.low, casters.high);
-  maps_of_.resize(across_m > kWidestTexel_m * static_cast<float>(size) ? kCascades : 1);
-  depth_.resize(size, static_cast<int>(maps_of_.size()));
+    : size_(size),
+      casters_(casters),
+      receivers_(receivers),
+      cascades_(!casters.empty() &&
+                glm::distance(casters.low, casters.high) > kWidestTexel_m * static_cast<float>(size)) {
+  maps_.resize(cascades_ ? first_layer(kCascades) : 1);
+  depth_.resize(size, static_cast<int>(maps_.size()));
 }
 
-splatbus_camera SunShadow::camera_of(std::size_t map, const glm::vec3& sun_direction, const glm::vec3& eye) const {
+splatbus_camera SunShadow::camera_of(std::size_t cascade, const glm::vec3& sun_direction, const glm::vec3& eye) const {
   const auto size = static_cast<std::uint32_t>(size_);
-  if (map + 1 < maps_of_.size()) {
-    const float texel_m = kFinestTexel_m * std::pow(kCascadeRatio, static_cast<float>(map));
+  if (cascades_ && cascade + 1 < kCascades) {
+    const float texel_m = kFinestTexel_m * std::pow(kCascadeRatio, static_cast<float>(cascade));
     Bounds all = casters_;
     all.add(receivers_);
     return cascade_camera(eye, texel_m * static_cast<float>(size_), sun_direction, all, size, size,
@@ -50,32 +62,50 @@ splatbus_camera SunShadow::camera_of(std::size_t map, const glm::vec3& sun_direc
   return camera;
 }
 
+std::size_t SunShadow::layer_for(std::size_t cascade, const splatbus_camera& camera) const {
+  if (!cascades_) return 0;
+  const std::size_t first = first_layer(cascade);
+  const std::span maps = std::span(maps_).subspan(first, kKept.at(cascade));
+  auto found = std::ranges::find_if(maps, [&](const Map& map) { return same_map(map.camera, camera); });
+  if (found == maps.end()) found = std::ranges::min_element(maps, {}, &Map::used);
+  return first + static_cast<std::size_t>(found - maps.begin());
+}
+
 void SunShadow::update(GpuScene& scene, const splatbus_light& light, const glm::vec3& eye,
                        const DepthPrograms& program_for) {
   const float* sun = light.sun_direction;
-  for (std::size_t i = 0; i < maps_of_.size(); ++i) {
-    Map& map = maps_of_[i];
-    if (map.depth_version == light.sun_depth_version && (!cascades() || casters_.empty())) continue;
-    const splatbus_camera camera = casters_.empty() ? splatbus_camera{} : camera_of(i, {sun[0], sun[1], sun[2]}, eye);
+  ++updates_;
+  for (std::size_t cascade = 0; cascade < (cascades_ ? current_.size() : 1); ++cascade) {
+    if (!cascades_ && maps_.front().depth_version == light.sun_depth_version) continue;
+    const splatbus_camera camera =
+        casters_.empty() ? splatbus_camera{} : camera_of(cascade, {sun[0], sun[1], sun[2]}, eye);
+    const std::size_t layer = current_.at(cascade) = layer_for(cascade, camera);
+    Map& map = maps_[layer];
+    map.used = updates_;
     if (map.depth_version == light.sun_depth_version && same_map(map.camera, camera)) continue;
-    map = {camera, light.sun_depth_version};
+    map.camera = camera;
+    map.depth_version = light.sun_depth_version;
     ++times_drawn_;
-    depth_.draw_what_moved(static_cast<int>(i), scene, {camera, Projection::Orthographic}, program_for);
+    depth_.draw_what_moved(static_cast<int>(layer), scene, {camera, Projection::Orthographic}, program_for);
   }
 }
 
 void SunShadow::bind(GLuint program, float softness_m) const {
   if (!cascades()) return bind_one(program, softness_m);
   std::array<MapCamera, kCascades> cameras{};
-  for (std::size_t i = 0; i < maps_of_.size(); ++i)
-    cameras.at(i) = map_camera({maps_of_[i].camera, Projection::Orthographic});
+  std::array<float, kCascades> layers{};
+  for (std::size_t i = 0; i < kCascades; ++i) {
+    cameras.at(i) = map_camera({maps_[current_.at(i)].camera, Projection::Orthographic});
+    layers.at(i) = static_cast<float>(current_.at(i));
+  }
+  glProgramUniform1fv(program, kCascadeLayers, kCascades, layers.data());
   glProgramUniform4fv(program, kCascadeCameras, 4 * kCascades, glm::value_ptr(cameras.front().right));
   glBindTextureUnit(kSunMaps, depth_.layers());
 }
 
 void SunShadow::bind_one(GLuint program, float softness_m) const {
   constexpr float kGreatestSlope = 6;  // of the receiver, metres of depth a metre across
-  const splatbus_camera& camera = maps_of_.front().camera;
+  const splatbus_camera& camera = maps_.front().camera;
   glm::mat4 shadow_from_world(1);
   glm::vec2 uv_a_metre(1);
   float metres_a_depth = 1;

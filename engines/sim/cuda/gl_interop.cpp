@@ -5,6 +5,8 @@
 
 #include <algorithm>
 #include <array>
+#include <cassert>
+#include <cstddef>
 #include <span>
 #include <utility>
 
@@ -13,6 +15,15 @@
 namespace splatbus::sim::cuda {
 
 using device::check;
+
+namespace {
+
+/// In its camera's buffer, until that is mapped.
+std::size_t offset_of(const splatbus_image& image) {
+  return reinterpret_cast<std::uintptr_t>(image.data);
+}
+
+}  // namespace
 
 bool renders_on_first_device() {
   constexpr unsigned kMostDevices = 16;
@@ -29,58 +40,56 @@ bool renders_on_first_device() {
 GlInterop::~GlInterop() {
   if (!mapped_.empty())
     cudaGraphicsUnmapResources(static_cast<int>(mapped_.size()), mapped_.data(), cudaStreamPerThread);
-  for (auto& camera : buffers_) {
-    for (auto& [buffer, pixels] : camera) {
-      if (pixels.resource != nullptr) cudaGraphicsUnregisterResource(pixels.resource);
-    }
+  for (const PixelBuffer& pixels : buffers_) {
+    if (pixels.resource != nullptr) cudaGraphicsUnregisterResource(pixels.resource);
   }
 }
 
-void GlInterop::begin(std::uint32_t /*width*/, std::uint32_t /*height*/) {
+void GlInterop::begin(std::uint32_t /*width*/, std::uint32_t /*height*/, std::size_t bytes) {
   unmap();
-  if (std::exchange(finished_, false)) {
-    taken_.clear();
-    images_.clear();
-  }
-  taken_.emplace_back();
+  if (std::exchange(finished_, false)) images_.clear();
   images_.emplace_back();
   if (buffers_.size() < images_.size()) buffers_.emplace_back();
+  PixelBuffer& pixels = buffers_[images_.size() - 1];
+  if (pixels.bytes < bytes) grow(pixels, bytes);
 }
 
 void GlInterop::take(const DrawnPicture& drawn) {
-  PixelBuffer& pixels = buffers_.at(images_.size() - 1)[drawn.buffer];
-  if (pixels.bytes < drawn.bytes) grow(pixels, drawn.bytes);
+  const PixelBuffer& pixels = buffers_.at(images_.size() - 1);
+  const std::vector<splatbus_image>& before = images_.back();
+  const std::size_t offset = before.empty() ? 0 : offset_of(before.back()) + before.back().bytes;
+  assert(offset + drawn.bytes <= pixels.bytes);
+  auto* const at = reinterpret_cast<void*>(offset);  // NOLINT(performance-no-int-to-ptr): into the bound buffer
   glBindBuffer(GL_PIXEL_PACK_BUFFER, pixels.name.get());
-  read_pixels(drawn, nullptr);
+  read_pixels(drawn, at);
   glBindBuffer(GL_PIXEL_PACK_BUFFER, 0);
-  taken_.back().push_back(pixels.resource);
   images_.back().push_back({.buffer = static_cast<std::uint32_t>(drawn.buffer),
-                            .data = nullptr,
+                            .data = at,
                             .bytes = drawn.bytes,
                             .memory = SPLATBUS_MEMORY_CUDA});
 }
 
 void GlInterop::keep(std::size_t cameras) {
-  if (finished_ || images_.size() <= cameras) return;
-  taken_.resize(cameras);
-  images_.resize(cameras);
+  if (!finished_ && images_.size() > cameras) images_.resize(cameras);
 }
 
 const std::vector<std::vector<splatbus_image>>& GlInterop::finish() {
   if (std::exchange(finished_, true)) return images_;
   std::vector<cudaGraphicsResource*> all;
-  for (const auto& camera : taken_) all.insert(all.end(), camera.begin(), camera.end());
+  for (std::size_t camera = 0; camera < images_.size(); ++camera) {
+    if (!images_[camera].empty()) all.push_back(buffers_[camera].resource);
+  }
   if (all.empty()) return images_;
   check(cudaGraphicsMapResources(static_cast<int>(all.size()), all.data(), cudaStreamPerThread),
         "mapping pictures of OpenGL");
   mapped_ = std::move(all);
   for (std::size_t camera = 0; camera < images_.size(); ++camera) {
-    for (std::size_t i = 0; i < images_[camera].size(); ++i) {
-      void* data = nullptr;
-      std::size_t bytes = 0;
-      check(cudaGraphicsResourceGetMappedPointer(&data, &bytes, taken_[camera][i]), "finding a picture of OpenGL");
-      images_[camera][i].data = data;
-    }
+    if (images_[camera].empty()) continue;
+    void* data = nullptr;
+    std::size_t bytes = 0;
+    check(cudaGraphicsResourceGetMappedPointer(&data, &bytes, buffers_[camera].resource),
+          "finding a picture of OpenGL");
+    for (splatbus_image& image : images_[camera]) image.data = static_cast<std::byte*>(data) + offset_of(image);
   }
   // The mapping waits for OpenGL in the stream, and this for the stream.
   check(cudaStreamSynchronize(cudaStreamPerThread), "waiting for OpenGL");

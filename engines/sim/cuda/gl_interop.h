@@ -1,6 +1,5 @@
 #pragma once
 
-#include <map>
 #include <vector>
 
 #include "sim/device_readback.h"
@@ -14,8 +13,8 @@ namespace splatbus::sim::cuda {
 [[nodiscard]] bool renders_on_first_device();
 
 /// Reads pictures into pixel buffer objects that CUDA maps: OpenGL converts and lays them out as for the host, and they
-/// never leave the device. One buffer for each of splatbus_buffer and each camera that is read before the next
-/// finish(), registered once and again only when it grows.
+/// never leave the device. One buffer for each camera that is read before the next finish(), registered once and again
+/// only when it grows: to map one takes the driver as long whatever is in it.
 class GlInterop final : public DeviceReadback {
  public:
   GlInterop() = default;
@@ -23,7 +22,7 @@ class GlInterop final : public DeviceReadback {
   GlInterop(const GlInterop&) = delete;
   GlInterop& operator=(const GlInterop&) = delete;
 
-  void begin(std::uint32_t width, std::uint32_t height) override;
+  void begin(std::uint32_t width, std::uint32_t height, std::size_t bytes) override;
   void take(const DrawnPicture& drawn) override;
   [[nodiscard]] const std::vector<std::vector<splatbus_image>>& finish() override;
   void keep(std::size_t cameras) override;
@@ -34,11 +33,10 @@ class GlInterop final : public DeviceReadback {
     std::size_t bytes = 0;
     cudaGraphicsResource* resource = nullptr;
   };
-  void grow(PixelBuffer& buffer, std::size_t bytes);
+  static void grow(PixelBuffer& buffer, std::size_t bytes);
   void unmap();
 
-  std::vector<std::map<splatbus_buffer, PixelBuffer>> buffers_;  ///< by camera since the last finish()
-  std::vector<std::vector<cudaGraphicsResource*>> taken_;        ///< resources of images_
+  std::vector<PixelBuffer> buffers_;  ///< by camera since the last finish()
   std::vector<std::vector<splatbus_image>> images_;
   std::vector<cudaGraphicsResource*> mapped_;
   bool finished_ = false;

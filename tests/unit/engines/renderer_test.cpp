@@ -120,6 +120,44 @@ TEST(Renderer, ObjectIdsKeepAllTheirBits) {
   EXPECT_EQ(seen, std::set<std::uint32_t>(ids.begin(), ids.end()));
 }
 
+TEST(Renderer, EachOfManyTexturesIsOnItsOwnObject) {
+  // Of two sizes, of one of them more than one array keeps; each is on two objects.
+  constexpr int kAcross = 26;
+  Scene scene;
+  std::vector<glm::vec3> bytes;
+  for (int k = 0; k < kAcross * kAcross; ++k) {
+    const std::uint32_t side = k % 7 == 0 ? 4 : 1;
+    bytes.emplace_back(40 + k % 23 * 9, 40 + k / 23 * 7, 60 + k % 5 * 40);
+    Image image{.width = side, .height = side, .rgba = {}};
+    for (std::uint32_t i = 0; i < side * side; ++i) {
+      for (int c = 0; c < 3; ++c) image.rgba.push_back(static_cast<std::uint8_t>(bytes.back()[c]));
+      image.rgba.push_back(255);
+    }
+    const glm::mat4 place = glm::translate(glm::mat4(1), {k % kAcross, 0, k / kAcross});
+    if (k % 2 == 1) {
+      scene.add("as the one before", box({0.8F, 0.2F, 0.8F}), static_cast<int>(scene.materials.size()) - 1, place);
+      bytes.back() = bytes[bytes.size() - 2];
+    } else {
+      scene.add("its own", box({0.8F, 0.2F, 0.8F}), std::move(image), place);
+    }
+  }
+  constexpr std::uint32_t kSize = 416;
+  Renderer renderer(shared_context(), std::move(scene), {.supersample = 1, .samples = 1});
+  const float middle = 0.5F * (kAcross - 1);
+  const splatbus_camera camera = look_at({middle, 40, middle - 1e-3F}, {middle, 0, middle}, kSize, kSize, 40);
+  const Pictures& pictures = renderer.render(camera, SPLATBUS_BUFFER_ALBEDO | SPLATBUS_BUFFER_OBJECT_ID);
+  std::set<std::uint32_t> seen;
+  for (std::size_t i = 0; i < pictures.object_id.size(); ++i) {
+    const std::uint32_t id = pictures.object_id[i];
+    if (id == 0) continue;
+    seen.insert(id);
+    for (std::size_t c = 0; c < 3; ++c) {
+      ASSERT_NEAR(pictures.albedo[4 * i + c], bytes.at(id - 1)[static_cast<int>(c)], 1.5F) << "object " << id;
+    }
+  }
+  EXPECT_EQ(seen.size(), bytes.size());
+}
+
 TEST(Renderer, AlphaIsCoverage) {
   const glm::vec3 albedo{0.5F, 0.25F, 0.1F};
   Scene scene;

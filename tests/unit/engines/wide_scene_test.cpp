@@ -2,6 +2,8 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <cstdint>
+#include <vector>
 
 #include "sim/field.h"
 #include "toy_renderer.h"
@@ -90,6 +92,22 @@ TEST(WideScene, CascadesAreDrawnAgainOnlyWhenTheCameraMoves) {
   EXPECT_EQ(drawn({1.5F, 4, -0.8F}), 3U);
   EXPECT_EQ(drawn({9, 4, -0.8F}), 4U) << "the finest one";
   EXPECT_EQ(drawn({49, 4, -0.8F}), 6U) << "the two about the camera";
+  EXPECT_EQ(drawn({9, 4, -0.8F}), 6U) << "those of the last places are kept";
+  EXPECT_EQ(drawn({1, 4, -0.8F}), 6U);
+}
+
+TEST(WideScene, PicturesTakenInTurnAtSeveralPlacesAreThoseOfEachAlone) {
+  Renderer in_turn(shared_context(), field());
+  // More of them than cascades are kept.
+  const std::vector<glm::vec3> eyes{{1, 2, -0.8F}, {9, 2, 3}, {49, 2, 8}, {-30, 2, 25}, {20, 2, -60}, {70, 2, 70}};
+  for (int round = 0; round < 2; ++round) {
+    for (const glm::vec3& eye : eyes) {
+      const splatbus_camera camera = look_at(eye, eye + glm::vec3(6, -1.5F, 2), 64, 64, 70);
+      Renderer alone(shared_context(), field());
+      const std::vector<std::uint8_t> expected = alone.render(camera, SPLATBUS_BUFFER_COLOR).color;
+      EXPECT_EQ(in_turn.render(camera, SPLATBUS_BUFFER_COLOR).color, expected) << eye.x << " in round " << round;
+    }
+  }
 }
 
 }  // namespace
