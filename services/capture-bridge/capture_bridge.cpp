@@ -310,6 +310,9 @@ void CaptureBridge::submit_round(InputRig& rig, bool all) {
     // what the viewer is about to see.
     share = std::max(rig.share_asked(), options_->glance_share);
   }
+  // Nor is it where viewers share the cameras: each would have a model as large as if he were alone, twice as fine as
+  // what trains it has time for.
+  share *= rig.share_owned(options_->dome.cameras);
   job.options.budget = static_cast<std::size_t>(static_cast<double>(job.options.budget) * share);
   worker_.submit(std::move(job));
 }

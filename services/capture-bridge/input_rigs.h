@@ -61,6 +61,10 @@ struct InputRig {
     return 1 - static_cast<double>(to_come.size()) /
                    static_cast<double>(std::max<std::size_t>(1, cameras.size() + to_come.size()));
   }
+  /// Of `all` input cameras: those that are its own.
+  [[nodiscard]] double share_owned(int all) const {
+    return std::min(1.0, static_cast<double>(cameras.size() + to_come.size()) / all);
+  }
 };
 
 /// The input cameras of all viewers, who share them by need. Times are CLOCK_MONOTONIC nanoseconds. Not thread-safe.

@@ -136,6 +136,30 @@ TEST_F(BridgeViewersTest, TwoViewersAHundredMetresApartHaveTheirRoundsAndViews) 
   EXPECT_EQ(engine_.requested(CameraRole::Input), 8U);
 }
 
+TEST_F(BridgeViewersTest, TwoViewersShareTheSamplesAsTheyShareTheCameras) {
+  set("input_cameras", "8");
+  set("input_range_hz", "0");
+  set("sample_budget", "400");
+  start();
+  const Camera a = look_at({0, 1.6F, 3}, {0, 0.2F, 0}, 64, 64, 1), b = look_at({3, 1.6F, 0}, {0, 0.2F, 0}, 64, 64, 1);
+  ASSERT_TRUE(until([&] {
+    look_as("a", a);
+    look_as("b", b);
+    return newest_round_about(a.world_from_camera.translation, 8).size() == 4 &&
+           newest_round_about(b.world_from_camera.translation, 8).size() == 4;
+  }));
+  std::size_t rounds = 0;
+  for (const bus::Message& message : received_["capture/input"]) {
+    if (message.root<wire::CaptureInput>().cameras()->size() != 4) continue;
+    const auto samples = message.tensor("object_id", bus::ElementType::U32, {0});
+    if (!samples) continue;
+    ++rounds;
+    EXPECT_GT(samples->dim(0), 150U);
+    EXPECT_LE(samples->dim(0), 200U) << "half of the cameras, half of the budget";
+  }
+  EXPECT_GT(rounds, 0U);
+}
+
 TEST_F(BridgeViewersTest, WhereTheExpanderFindsNothingNewFewerInputCamerasGo) {
   set("input_cameras", "16");
   set("input_range_hz", "0");
