@@ -1,4 +1,5 @@
-// How long the built-in engine takes for the pictures of a dome in the world, by what is asked of it, and what it draws.
+// How long the built-in engine takes for the pictures of a dome in the world, by what is asked of it, and what it
+// draws.
 #include <fmt/format.h>
 
 #include <CLI/CLI.hpp>
@@ -52,8 +53,8 @@ std::vector<splatbus_camera> dome(const Options& options, const glm::vec3& eye) 
   for (int i = 0; i < options.cameras; ++i) {
     const float turn = glm::two_pi<float>() * static_cast<float>(i) / static_cast<float>(options.cameras);
     const float down = i % 3 == 0 ? -0.3F : 0.05F;
-    splatbus_camera camera = look_at(eye, eye + glm::vec3(std::cos(turn), down, std::sin(turn)), options.size,
-                                     options.size, 70);
+    splatbus_camera camera =
+        look_at(eye, eye + glm::vec3(std::cos(turn), down, std::sin(turn)), options.size, options.size, 70);
     camera.far_m = 100;
     cameras.push_back(camera);
   }
@@ -112,16 +113,17 @@ void run(const Options& options) {
   const std::vector<glm::vec3> walk = world_walk(options.seed);
   std::vector<std::vector<splatbus_camera>> domes;
   for (int i = 0; i < options.places; ++i) {
-    domes.push_back(dome(options, walk[walk.size() * static_cast<std::size_t>(i) / static_cast<std::size_t>(options.places)]));
+    domes.push_back(
+        dome(options, walk[walk.size() * static_cast<std::size_t>(i) / static_cast<std::size_t>(options.places)]));
   }
-  constexpr std::uint32_t kGeometry = SPLATBUS_BUFFER_WORLD_POSITION | SPLATBUS_BUFFER_NORMAL | SPLATBUS_BUFFER_DEPTH |
-                                      SPLATBUS_BUFFER_OBJECT_ID;
+  constexpr std::uint32_t kGeometry =
+      SPLATBUS_BUFFER_WORLD_POSITION | SPLATBUS_BUFFER_NORMAL | SPLATBUS_BUFFER_DEPTH | SPLATBUS_BUFFER_OBJECT_ID;
   constexpr std::uint32_t kShaded = SPLATBUS_BUFFER_COLOR | SPLATBUS_BUFFER_ALBEDO;
   fmt::print("{:<22} {:>10} {:>10} {:>16}\n", "a picture of", "submit ms", "whole ms", "1,000 triangles");
-  for (const auto& [name, buffers] : {std::pair{"colour", std::uint32_t{SPLATBUS_BUFFER_COLOR}},
-                                      std::pair{"colour and albedo", kShaded}, std::pair{"geometry", kGeometry},
-                                      std::pair{"depth", std::uint32_t{SPLATBUS_BUFFER_DEPTH}},
-                                      std::pair{"everything", kShaded | kGeometry}}) {
+  for (const auto& [name, buffers] :
+       {std::pair{"colour", std::uint32_t{SPLATBUS_BUFFER_COLOR}}, std::pair{"colour and albedo", kShaded},
+        std::pair{"geometry", kGeometry}, std::pair{"depth", std::uint32_t{SPLATBUS_BUFFER_DEPTH}},
+        std::pair{"everything", kShaded | kGeometry}}) {
     const Cost cost = measure(renderer, domes, buffers);
     fmt::print("{:<22} {:>10.3f} {:>10.3f} {:>16.1f}\n", name, cost.submit_ms, cost.whole_ms, cost.thousand_triangles);
   }
@@ -140,7 +142,8 @@ int main(int argc, char** argv) {
   app.add_option("--places", options.places, "places along the walk")->capture_default_str();
   app.add_option("--seed", options.seed, "random seed of the world")->capture_default_str();
   app.add_option("--samples", options.renderer.samples, "coverage samples")->capture_default_str();
-  app.add_option("--supersample", options.renderer.supersample, "shaded pixels a side of a pixel")->capture_default_str();
+  app.add_option("--supersample", options.renderer.supersample, "shaded pixels a side of a pixel")
+      ->capture_default_str();
   CLI11_PARSE(app, argc, argv);
   splatbus::sim::run(options);
   return 0;

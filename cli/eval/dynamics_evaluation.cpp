@@ -161,7 +161,8 @@ Json by_minute(const std::vector<TimedFigure>& figures) {
   Json minutes = Json::array();
   double end_s = 0;
   for (const TimedFigure& figure : figures) end_s = std::max(end_s, figure.time_s);
-  for (double from_s = 0; from_s < end_s; from_s += 60) {
+  for (int minute = 0; 60.0 * minute < end_s; ++minute) {
+    const double from_s = 60.0 * minute;
     minutes.push_back(cli::figure(mean_within(figures, {.from_s = from_s, .to_s = from_s + 60})));
   }
   return minutes;

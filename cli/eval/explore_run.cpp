@@ -148,13 +148,12 @@ class ExploreRun {
     std::string text = fmt::format("{:.0f}/{:.0f} s {}  {} Gaussians ({} active, {} spilled)", time_s(),
                                    results_.walk_s, walk_ns_ == 0 ? "waits" : to_string(phase()),
                                    trainer.gaussians + trainer.spilled, trainer.active, trainer.spilled);
-    for (auto sample = results_.samples.rbegin(); sample != results_.samples.rend(); ++sample) {
-      const auto& figures = sample->viewers.front();
-      if (!figures) continue;
-      text += fmt::format("  SSIM {:.3f}", figures->ssim);
-      if (figures->unmodelled_share) text += fmt::format("  unmodelled {:.1f} %", 100 * *figures->unmodelled_share);
-      break;
-    }
+    const auto sample = std::find_if(results_.samples.rbegin(), results_.samples.rend(),
+                                     [](const ExploreSample& s) { return s.viewers.front().has_value(); });
+    if (sample == results_.samples.rend()) return text;
+    const ViewerFigures& figures = *sample->viewers.front();
+    text += fmt::format("  SSIM {:.3f}", figures.ssim);
+    if (figures.unmodelled_share) text += fmt::format("  unmodelled {:.1f} %", 100 * *figures.unmodelled_share);
     return text;
   }
 

@@ -27,7 +27,7 @@ constexpr std::int64_t kAnnounceNs = kSecond / 2;  // a cut, before it begins
 /// Where a program of the system lies; throws std::runtime_error.
 std::filesystem::path find_tool(const std::string& name) {
   for (const char* folder : {"/usr/sbin", "/sbin", "/usr/bin", "/bin"}) {
-    if (const std::filesystem::path path = std::filesystem::path(folder) / name; std::filesystem::exists(path)) {
+    if (std::filesystem::path path = std::filesystem::path(folder) / name; std::filesystem::exists(path)) {
       return path;
     }
   }

@@ -124,7 +124,7 @@ class RelightEvaluation {
       // What appears, a lamp say, is inserted all the same: then the model is drawn again.
       training_.wait_until(
           "a model that holds still",
-          [&] {
+          [&, &probe = probe] {
             picture = view_.render(training_.live(), probe.camera, probe.scene, &lights);
             return picture.has_value();
           },

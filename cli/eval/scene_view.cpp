@@ -25,7 +25,7 @@ void LightDepths::keep(bool all) {
 
 std::optional<SceneLights> LightDepths::find(const SceneState& scene) {
   const std::scoped_lock lock(mutex_);
-  for (const auto& [key, message] : newest_) bus::guarded(message, [&] { copy(message); });
+  for (const auto& [key, message] : newest_) bus::guarded(message, [&, &message = message] { copy(message); });
   return relight::find_lights(scene.light, maps_);
 }
 

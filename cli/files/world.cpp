@@ -125,7 +125,7 @@ int prune(const WorldVerbOptions& options) {
   std::vector<std::pair<world::PageKey, world::PageEntry>> pages;
   std::uint64_t bytes = 0, gone = 0;
   for (const auto& page : folder.pages()) {
-    pages.push_back(page);
+    pages.emplace_back(page);
     bytes += page.second.bytes;
   }
   const auto drop = [&](const auto& page) {

@@ -42,6 +42,7 @@ void read_keys(const YamlReader& reader, const YAML::Node& map, const std::vecto
     const auto key = std::find_if(table.begin(), table.end(), [&](const auto& k) { return k.rule.name == name; });
     if (key == table.end()) {
       std::vector<std::string> known;
+      known.reserve(table.size());
       for (const auto& k : table) known.push_back(k.rule.name);
       reader.refuse(key_node, fmt::format("unknown key '{}'{}{}", name, of, bus::suggestion(name, known)));
     }
@@ -52,6 +53,7 @@ void read_keys(const YamlReader& reader, const YAML::Node& map, const std::vecto
 template <class T>
 std::vector<KeyRule> rules_of(const std::vector<Key<T>>& table) {
   std::vector<KeyRule> rules;
+  rules.reserve(table.size());
   for (const auto& key : table) rules.push_back(key.rule);
   return rules;
 }

@@ -7,7 +7,7 @@
 #include <algorithm>
 #include <chrono>
 #include <optional>
-#include <ranges>
+#include <span>
 
 #include "bus/clock.h"
 #include "bus/error.h"
@@ -81,7 +81,8 @@ SourceMark place_of(const LaunchService& service, const std::string& text) {
 void add_problems(const LaunchService& service, const Answer& answer, std::vector<LaunchProblem>& problems) {
   try {
     const auto report = bus::parse_parameter_report(answer.output);
-    for (const auto& problem : report.problems | std::views::take(kMostProblems)) {
+    const std::size_t taken = std::min(report.problems.size(), kMostProblems);
+    for (const auto& problem : std::span(report.problems).first(taken)) {
       const auto setting = service.parameters.find(problem.parameter);
       const SourceMark mark =
           setting != service.parameters.end() ? setting->second.mark : place_of(service, problem.text);

@@ -101,7 +101,7 @@ int YamlReader::integer(const YAML::Node& node, const std::string& what, int min
 
 std::string YamlReader::choice(const YAML::Node& node, const std::string& what,
                                const std::vector<std::string>& choices) const {
-  const std::string text = scalar(node, what);
+  std::string text = scalar(node, what);
   if (contains(choices, text)) return text;
   const std::string meant = bus::nearest(text, choices);
   refuse(node, fmt::format("{} must be {} or {}, not '{}'{}", what, fmt::join(choices.begin(), choices.end() - 1, ", "),

@@ -119,9 +119,9 @@ std::vector<StoredLine> read_logs(const fs::path& folder, const std::vector<std:
   std::vector<StoredLine> lines;
   for (const std::string& process : processes) {
     const auto files = files_of(folder, process);
-    for (auto file = files.rbegin(); file != files.rend(); ++file) {
-      read_file(*file, process, since, std::numeric_limits<std::uintmax_t>::max(), lines);
-    }
+    std::for_each(files.rbegin(), files.rend(), [&](const fs::path& file) {
+      read_file(file, process, since, std::numeric_limits<std::uintmax_t>::max(), lines);
+    });
   }
   in_order(lines, tail);
   return lines;

@@ -135,7 +135,7 @@ std::string save(const ParamOptions& options, const ParameterOwner& owner, bool 
   std::ifstream stream(file);
   const std::string before{std::istreambuf_iterator<char>(stream), std::istreambuf_iterator<char>()};
   if (!stream) throw std::runtime_error(file + ": cannot be read");
-  const std::string service = started_as.empty() ? owner.source : started_as;
+  std::string service = started_as.empty() ? owner.source : started_as;
   const std::string after = with_parameters(before, file, service, {{options.key, options.value}});
   // Beside it, and in its place once it is whole: whoever reads it finds the one or the other.
   const fs::path target = fs::canonical(file);

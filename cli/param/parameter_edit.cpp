@@ -17,7 +17,7 @@ namespace {
 
 /// As YAML has it: plain where that reads back as the same text, else in double quotes.
 std::string yaml_scalar(const std::string& text) {
-  const std::string value = escaped(text);
+  std::string value = escaped(text);
   const bool plain = !value.empty() &&
                      value.find_first_not_of(
                          "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ"
@@ -125,7 +125,7 @@ Edit below(const std::string& text, const YAML::Node& map, const std::vector<std
   at = line_end(text, std::min(at, text.size()));
   const std::string indent(static_cast<std::size_t>(map.begin()->first.Mark().column), ' ');
   std::string added;
-  for (const std::string& line : lines) added += "\n" + indent + line;
+  for (const std::string& line : lines) added += fmt::format("\n{}{}", indent, line);
   return {at, at, added};
 }
 
@@ -140,6 +140,7 @@ std::string flow_entries(const std::map<std::string, std::string>& values) {
 
 std::vector<std::string> block_entries(const std::map<std::string, std::string>& values, const std::string& indent) {
   std::vector<std::string> lines;
+  lines.reserve(values.size());
   for (const auto& [key, value] : values) lines.push_back(fmt::format("{}{}: {}", indent, key, yaml_scalar(value)));
   return lines;
 }

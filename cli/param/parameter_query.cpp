@@ -78,6 +78,7 @@ std::vector<ParameterOwner> find_owners(const std::shared_ptr<bus::Context>& con
     if (!std::all_of(wanted.begin(), wanted.end(), [&](const auto& source) { return heard.contains(source); }))
       continue;
     std::vector<ParameterOwner> owners;
+    owners.reserve(wanted.size());
     for (const std::string& source : wanted) owners.push_back(heard.at(source));
     return owners;
   }
@@ -105,6 +106,7 @@ void send_control(bus::Publisher& publisher, const std::string& receiver,
                   const std::vector<std::pair<std::string, std::string>>& changes) {
   publisher.publish(topics::control("control/" + receiver), [&](auto& builder, auto header) {
     std::vector<flatbuffers::Offset<wire::KeyValue>> entries;
+    entries.reserve(changes.size());
     for (const auto& [key, value] : changes) {
       entries.push_back(wire::CreateKeyValueDirect(builder, key.c_str(), value.c_str()));
     }

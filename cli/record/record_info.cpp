@@ -33,7 +33,7 @@ Json describe(const mcap::Reader& reader) {
   for (const auto& [id, channel] : summary.channels) {
     const auto counted = statistics.channel_message_counts.find(id);
     const std::uint64_t messages = counted == statistics.channel_message_counts.end() ? 0 : counted->second;
-    const auto named = [&](const char* key) {
+    const auto named = [&channel = channel](const char* key) {
       const auto found = channel.metadata.find(key);
       return found == channel.metadata.end() ? std::string() : found->second;
     };

@@ -55,7 +55,7 @@ void shift_scene(wire::SceneState& scene, std::uint64_t shift) {
 
 template <class Table>
 bool shift_scene_of(std::vector<std::uint8_t>& body, const wire::Header& header, std::uint64_t shift) {
-  Table* const root = mutable_root<Table>(body, header);
+  auto* const root = mutable_root<Table>(body, header);
   if (root != nullptr) shift_scene(*root->mutable_scene(), shift);
   return root != nullptr;
 }

@@ -77,7 +77,7 @@ std::uint64_t RecordedPace::step_at(std::uint64_t log_time) const {
 }
 
 PaceKeeper::PaceKeeper(std::shared_ptr<bus::Context> context, RecordedPace pace)
-    : pace_(std::move(pace)), publisher_(context), subscriber_(context) {
+    : pace_(std::move(pace)), publisher_(context), subscriber_(std::move(context)) {
   subscriber_
       .on(topics::kTrainerStats,
           [this](const wire::TrainerStats& stats, const bus::Message&) {
@@ -95,6 +95,7 @@ PaceKeeper::PaceKeeper(std::shared_ptr<bus::Context> context, RecordedPace pace)
 void PaceKeeper::set(const char* topic, const std::vector<std::pair<const char*, double>>& values) {
   publisher_.publish(topics::control(topic), [&](auto& builder, auto header) {
     std::vector<flatbuffers::Offset<wire::KeyValue>> changes;
+    changes.reserve(values.size());
     for (const auto& [key, value] : values) {
       changes.push_back(wire::CreateKeyValueDirect(builder, key, fmt::format("{}", value).c_str()));
     }

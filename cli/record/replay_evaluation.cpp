@@ -190,7 +190,7 @@ void add_replay_verb(CLI::App& eval, Action& action) {
     action = [options] {
       fs::create_directories(options->common.out);
       return evaluate(options->common, "summary.json, services.log", [&](const StopSignals& signals, auto show) {
-        const Json summary = Replay(*options).run(signals, show);
+        Json summary = Replay(*options).run(signals, show);
         write_text((fs::path(options->common.out) / "summary.json").string(), json_text(summary, 2) + "\n");
         return summary;
       });

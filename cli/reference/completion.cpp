@@ -58,7 +58,7 @@ std::string word_table(const CommandHelp& root, const std::vector<ProgramHelp>& 
       if (option.value.empty()) continue;
       with_value.insert(with_value.end(), option.names.begin(), option.names.end());
       for (const std::string& name : option.names) {
-        add(path + ":" + name, name == "--set" ? settings(path, programs) : option.choices);
+        add(fmt::format("{}:{}", path, name), name == "--set" ? settings(path, programs) : option.choices);
       }
     }
     add(path + ":commands", commands);

@@ -83,6 +83,7 @@ std::uint64_t light_hash(const splatbus_light& light, const std::vector<splatbus
 
 std::vector<wire::LightSource> to_wire(const std::vector<splatbus_light_source>& sources) {
   std::vector<wire::LightSource> structs;
+  structs.reserve(sources.size());
   for (const splatbus_light_source& source : sources) {
     structs.emplace_back(source.id, static_cast<wire::LightKind>(source.kind), source.casts_shadow != 0,
                          to_wire(source.position), to_wire(source.direction), to_wire(source.intensity), source.range_m,

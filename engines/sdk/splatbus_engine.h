@@ -36,8 +36,9 @@ typedef enum {
   SPLATBUS_BUFFER_ALBEDO = 8,         /* u8 RGBA, diffuse albedo, as colour but over black: alpha is in it */
   SPLATBUS_BUFFER_DEPTH = 16,         /* f32: metres along the camera's z, 0 where there is no surface */
   SPLATBUS_BUFFER_LIGHT_DEPTH = 32,   /* f32: role light; metres along z, far_m where there is no surface */
-  SPLATBUS_BUFFER_OBJECT_ID = 64      /* u32 (an R32UI target, say), 0 where there is no surface; pixels of
-                                         SPLATBUS_RESERVED_ID are not modelled */
+  SPLATBUS_BUFFER_OBJECT_ID = 64      /* u32 (an R32UI target, say), 0 where there is no surface; of pixels of
+                                         SPLATBUS_RESERVED_ID no Gaussians are made. What is not to be learned either is
+                                         an object with SPLATBUS_OBJECT_NOT_MODELLED */
 } splatbus_buffer;
 
 /* A camera is known by its role and its id together: an input camera 3 and a reference camera 3 are two. */

@@ -81,6 +81,7 @@ std::vector<splatbus_camera_request> Schedule::serve(double time_s, const DepthV
   };
   std::ranges::stable_sort(due, {}, order);
   std::vector<splatbus_camera_request> requests;
+  requests.reserve(due.size());
   for (const Due& entry : due) requests.push_back(entry.request);
   return requests;
 }

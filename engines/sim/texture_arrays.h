@@ -8,8 +8,8 @@
 
 namespace splatbus::sim {
 
-/// A scene's textures on the GPU, those of one size and edge as layers of one, so that whatever has one of them is drawn
-/// at once.
+/// A scene's textures on the GPU, those of one size and edge as layers of one, so that whatever has one of them is
+/// drawn at once.
 class TextureArrays {
  public:
   struct Place {

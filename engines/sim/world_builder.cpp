@@ -136,6 +136,15 @@ glm::mat4 moved(const glm::vec3& by, float yaw) {
   return glm::rotate(moved(by), yaw, glm::vec3(0, 1, 0));
 }
 
+std::vector<float> spaced(float from, float to, float step) {
+  std::vector<float> places;
+  while (from < to) {
+    places.push_back(from);
+    from += step;
+  }
+  return places;
+}
+
 Mesh patch(const glm::vec3& a, const glm::vec3& b, const glm::vec3& c, const glm::vec3& d, float cell_m) {
   const float width = std::max(glm::distance(a, b), glm::distance(d, c));
   const float height = std::max(glm::distance(a, d), glm::distance(b, c));

@@ -71,6 +71,9 @@ struct Site {
 [[nodiscard]] glm::mat4 moved(const glm::vec3& by);
 [[nodiscard]] glm::mat4 moved(const glm::vec3& by, float yaw);
 
+/// from, from + step, ... below `to`, each the sum of the one before and the step.
+[[nodiscard]] std::vector<float> spaced(float from, float to, float step);
+
 // Meshes with texture coordinates in metres.
 
 /// A flat or bent quadrangle, corners counter-clockwise as seen from its front, in cells of about `cell_m`. Two corners

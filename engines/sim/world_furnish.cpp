@@ -18,6 +18,7 @@ struct Face {
 std::vector<Opening> mirrored(const std::vector<Opening>& openings, float by) {
   // The outer wall's x runs the other way.
   std::vector<Opening> result;
+  result.reserve(openings.size());
   for (const Opening& o : openings) result.push_back({by - o.to, by - o.from, o.low, o.high});
   return result;
 }
@@ -25,7 +26,7 @@ std::vector<Opening> mirrored(const std::vector<Opening>& openings, float by) {
 /// The walls of a room; outer ones have windows, and inner ones doors.
 std::vector<Face> faces_of(const HousePlan& house, const Room& room) {
   const glm::vec2 half = house.inner_half(), middle = room.rect.middle(), size = room.rect.size() / 2.0F;
-  constexpr float kQuarter = glm::half_pi<float>();
+  constexpr auto kQuarter = glm::half_pi<float>();
   const float inner = HousePlan::kInnerDoor_m / 2;
   const auto near = [](float a, float b) { return std::abs(a - b) < 0.01F; };
   std::vector<Face> faces;

@@ -135,7 +135,7 @@ void add_gardens(WorldBuilder& builder) {
     add_fence(builder, fence, {door.x + gap, z}, {right, z}, draw);
     const float back_z = z + inwards * draw.between(5, 13);
     for (const float x : {left, right}) add_fence(builder, fence, {x, z}, {x, back_z}, draw);
-    for (float share = 0; share <= 1; share += 0.05F) {
+    for (const float share : spaced(0, 1, 0.05F)) {
       builder.take({glm::mix(left, right, share), z}, 0.4F);
       for (const float x : {left, right}) builder.take({x, glm::mix(z, back_z, share)}, 0.4F);
     }

@@ -122,14 +122,14 @@ class Ground {
         return along_x ? Rect{a, b} : Rect{{a.y, a.x}, {b.y, b.x}};
       };
       for (const Street& street : along_x ? plan_.along_x : plan_.along_z) {
-        for (float at = -WorldPlan::kHalf_m + 1; at < WorldPlan::kHalf_m - 2; at += kDash_m + kGap_m) {
+        for (const float at : spaced(-WorldPlan::kHalf_m + 1, WorldPlan::kHalf_m - 2, kDash_m + kGap_m)) {
           if (!is_crossing(others, at + kDash_m / 2, 5.5F)) mark(rect(at, at + kDash_m, street.middle_m, kLine_m / 2));
         }
         // Zebra crossings beside each crossing, where the pavements go on.
         for (const Street& other : others) {
           for (const float side : {-1.0F, 1.0F}) {
             const float middle = other.middle_m + side * (other.half_m + WorldPlan::kPavement_m * 0.5F);
-            for (float across = -street.half_m + 0.45F; across < street.half_m - kBar_m; across += 2 * kBar_m) {
+            for (const float across : spaced(-street.half_m + 0.45F, street.half_m - kBar_m, 2 * kBar_m)) {
               mark(rect(middle - 1.1F, middle + 1.1F, street.middle_m + across + kBar_m / 2, kBar_m / 2));
             }
           }

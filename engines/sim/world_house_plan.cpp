@@ -8,7 +8,7 @@ namespace splatbus::sim {
 
 glm::mat4 house_from_wall(const HousePlan& house, Side side) {
   const float out_x = (house.width_m - HousePlan::kWall_m) / 2, out_z = (house.depth_m - HousePlan::kWall_m) / 2;
-  const float turn = glm::half_pi<float>();
+  const auto turn = glm::half_pi<float>();
   switch (side) {
     case Side::Front:
       return moved({0, 0, out_z});

@@ -111,7 +111,7 @@ void add_outer_walls(const Site& shell, const std::vector<Site>& rooms, const Ho
       const Site outside = shell.at(placed);
       const float half = wall_half(house, side);
       // The inner face belongs to one room up to an inner wall, and to another beyond it.
-      const auto first = static_cast<std::size_t>(3 * storey);
+      const auto first = 3 * static_cast<std::size_t>(storey);
       struct Stretch {
         float from, to;
         std::size_t room;

@@ -119,7 +119,7 @@ void add_park(WorldBuilder& builder) {
     const glm::vec2 way = middle - corner, along = glm::normalize(way), side{-along.y, along.x};
     const float length = glm::length(way) - 3;
     const glm::vec2 shift = side * draw.between(1.4F, 1.9F);
-    for (float at = 0.6F; at < length; at += 0.78F) {
+    for (const float at : spaced(0.6F, length, 0.78F)) {
       const glm::vec2 p = corner + along * at + side * (0.6F * std::sin(at * 0.35F));
       if (!builder.is_free(p, 0.5F)) continue;
       const Site flag{builder,
@@ -129,7 +129,7 @@ void add_park(WorldBuilder& builder) {
         flag.add(box({draw.between(0.6F, 0.74F), 0.14F, draw.between(0.66F, 0.76F)}, 1), stone,
                  moved({0, -0.02F, across}));
     }
-    for (float at = 0; at < length; at += 1) builder.take(corner + along * at, 0.9F);
+    for (const float at : spaced(0, length, 1)) builder.take(corner + along * at, 0.9F);
     for (const float share : {0.4F, 0.75F}) {
       const glm::vec2 p = corner + way * share + shift;
       if (!builder.is_free(p, 0.2F)) continue;

@@ -32,7 +32,7 @@ void add_inner_walls(const std::vector<Site>& rooms, const HousePlan& house, int
                      Draw& draw) {
   const float base = static_cast<float>(storey) * house.storey_m();
   const glm::vec2 half = house.inner_half();
-  const auto first = static_cast<std::size_t>(3 * storey);
+  const auto first = 3 * static_cast<std::size_t>(storey);
   const Look frame = rooms.front().palette().look(Surface::Paint, Palette::near(color("#efe9da"), 0.12F, draw), draw);
   const float door = HousePlan::kInnerDoor_m / 2;
   const auto add_frame = [&](const Site& at, const Opening& o) {

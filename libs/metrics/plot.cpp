@@ -36,6 +36,16 @@ Axis axis_of(double least, double most) {
   return {.from = std::floor(least / step) * step, .to = std::ceil(most / step - 1e-9) * step, .step = step};
 }
 
+std::vector<double> ticks_of(const Axis& axis) {
+  std::vector<double> ticks;
+  double at = axis.from;
+  while (at <= axis.to + axis.step / 2) {
+    ticks.push_back(at);
+    at += axis.step;
+  }
+  return ticks;
+}
+
 std::string tick_text(double value, double step) {
   if (std::abs(value) < step / 2) return "0";
   if (std::abs(value) >= 1e6) return fmt::format("{:.4g}M", value / 1e6);
@@ -68,11 +78,11 @@ class PlotPainter {
     canvas_.setTo(kPlotGround);
     text(plot_.title, {kLeft, kTop - 18}, 0.55);
     text(plot_.x_label, {kLeft, kHeight - 8}, 0.42);
-    for (double x = x_.from; x <= x_.to + x_.step / 2; x += x_.step) {
+    for (const double x : ticks_of(x_)) {
       cv::line(canvas_, at(x, y_.from), at(x, y_.to), kGrid);
       text(tick_text(x, x_.step), at(x, y_.from) + cv::Point(-10, 18), 0.42);
     }
-    for (double y = y_.from; y <= y_.to + y_.step / 2; y += y_.step) {
+    for (const double y : ticks_of(y_)) {
       cv::line(canvas_, at(x_.from, y), at(x_.to, y), kGrid);
       text(tick_text(y, y_.step), at(x_.from, y) + cv::Point(-kLeft + 16, 5), 0.42);
     }

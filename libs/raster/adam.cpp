@@ -216,7 +216,7 @@ AdamStep Adam::piece(const GaussiansView& gaussians, float* parameters, const Pa
                 .second = moments + static_cast<std::size_t>(channels) * kRowWords,
                 .steps = reinterpret_cast<std::uint32_t*>(counters),
                 .near_steps = counters + kRowWords,
-                .detail = counters + 2 * kRowWords,
+                .detail = counters + std::size_t{2} * kRowWords,
                 .beta1 = beta1,
                 .beta2 = beta2,
                 .epsilon = epsilon,

@@ -75,7 +75,8 @@ void l1_error(const Image& rendered, const std::uint8_t* target_rgba, bool encod
     const float* const plane = rendered.plane(c);
     for (std::size_t i = 0; i < pixels; ++i) {
       const float clamped = plane[i] > 0 ? std::min(plane[i], 1.0F) : 0.0F;
-      const float shown = encode_srgb ? kCurve[static_cast<std::size_t>(clamped * kSteps + 0.5F)] : clamped;
+      const float entry = clamped * kSteps + 0.5F;
+      const float shown = encode_srgb ? kCurve[static_cast<std::size_t>(entry)] : clamped;
       error.data[i] += (1.0F / 3) * std::abs(shown - (1.0F / 255) * static_cast<float>(target_rgba[4 * i + c]));
     }
   }

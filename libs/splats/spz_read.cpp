@@ -181,7 +181,7 @@ Splat unpack(const Attributes& attributes, const spz::Header& header, std::size_
   const auto at = [&](spz::Attribute attribute) { return attributes[attribute].data() + i * sizes[attribute]; };
   Splat splat;
   for (int axis = 0; axis < 3; ++axis) {
-    splat.mean[axis] = std::ldexp(signed_24(at(spz::kPosition) + 3 * axis), -header.fractional_bits);
+    splat.mean[axis] = std::ldexp(signed_24(at(spz::kPosition) + std::ptrdiff_t{3} * axis), -header.fractional_bits);
     splat.log_scale[axis] = static_cast<float>(at(spz::kScale)[axis]) / 16 - 10;
     splat.sh[0][axis] = (static_cast<float>(at(spz::kColor)[axis]) / 255 - 0.5F) / spz::kColorScale;
   }

@@ -286,8 +286,7 @@ std::vector<SelectedRows> DeltaSelection::select(const HeldGaussians& held, cons
     }
   }
   std::ranges::sort(left_blocks_);
-  const auto again = std::ranges::unique(left_blocks_);
-  left_blocks_.erase(again.begin(), again.end());
+  left_blocks_.erase(std::unique(left_blocks_.begin(), left_blocks_.end()), left_blocks_.end());
   std::erase_if(selected, [](const SelectedRows& s) { return s.rows.empty(); });
   return selected;
 }

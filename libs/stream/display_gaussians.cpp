@@ -264,6 +264,7 @@ GaussiansView DisplayGaussians::view() const {
 
 GaussiansView DisplayGaussians::view(const std::vector<LightSource>& sources) {
   std::vector<std::uint32_t> ids;
+  ids.reserve(sources.size());
   for (const LightSource& source : sources) ids.push_back(source.id);
   GaussiansView out = view();
   if (ids == lights_ || out.visibility_u8 == nullptr) return out;

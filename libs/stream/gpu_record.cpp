@@ -13,6 +13,12 @@ namespace {
 constexpr float kMaxSharedExponent = 65408;
 constexpr float kPi = 3.14159265F;
 
+/// Half up, of what is not negative.
+std::uint32_t rounded(float value) {
+  const float above = value + 0.5F;
+  return static_cast<std::uint32_t>(above);
+}
+
 std::int16_t steps(float value, float step) {
   return static_cast<std::int16_t>(std::lrint(std::clamp(value / step, -32767.0F, 32767.0F)));
 }
@@ -37,7 +43,7 @@ std::uint32_t shared_exponent_rgb(const glm::vec3& color) {
   const auto per_step = [](int e) { return glm::uintBitsToFloat(static_cast<std::uint32_t>(127 + 24 - e) << 23); };
   if (std::floor(largest * per_step(exponent) + 0.5F) >= 512) ++exponent;
   std::uint32_t out = static_cast<std::uint32_t>(exponent) << 27;
-  for (std::size_t i = 0; i < 3; ++i) out |= static_cast<std::uint32_t>(c[i] * per_step(exponent) + 0.5F) << (9 * i);
+  for (std::size_t i = 0; i < 3; ++i) out |= rounded(c[i] * per_step(exponent)) << (9 * i);
   return out;
 }
 
@@ -84,7 +90,7 @@ GpuRecord RecordMaker::record(std::size_t column, std::uint32_t object_index) co
     out.rotation[k] = steps(rotation[c], kRotationStep_rad);
   }
   const float opacity = std::clamp(255 * value(opacity_, 0, column), 0.0F, 255.0F);
-  out.opacity_object = static_cast<std::uint32_t>(opacity + 0.5F) | object_index << 8;
+  out.opacity_object = rounded(opacity) | object_index << 8;
   return out;
 }
 
@@ -93,9 +99,9 @@ float RecordMaker::sun_visibility(std::size_t column) const {
 }
 
 void RecordMaker::harmonics(std::size_t column, std::span<std::uint32_t> out) const {
-  std::array<float, 3 * kMaxShCoefficients> values{};
+  std::array<float, std::size_t{3} * kMaxShCoefficients> values{};
   for (int c = 0; c < 3; ++c) values[static_cast<std::size_t>(c)] = 0.5F + kShC0 * value(color_, c, column);
-  for (int c = 0; c < rest_.channels; ++c) values[static_cast<std::size_t>(3 + c)] = value(rest_, c, column);
+  for (int c = 0; c < rest_.channels; ++c) values[3 + static_cast<std::size_t>(c)] = value(rest_, c, column);
   for (std::size_t k = 0; k < out.size(); ++k) out[k] = glm::packHalf2x16({values[2 * k], values[2 * k + 1]});
 }
 

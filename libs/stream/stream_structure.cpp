@@ -278,6 +278,7 @@ void StreamModel::emit_structure(std::span<PagePlan> plans, std::span<const std:
   const wire::Section appended_section(static_cast<std::uint32_t>(columns.size()), 0,
                                        static_cast<std::uint32_t>(blob.size()));
   std::vector<wire::PageVersion> ends;
+  ends.reserve(gone.size());
   for (const PageVersion& end : gone) ends.emplace_back(end.page, end.version);
   EncodedPacket packet = writer_.write(
       held_.epoch, 0, wire::Body::PageDelta,

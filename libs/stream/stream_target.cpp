@@ -238,8 +238,9 @@ void StreamModel::map_columns() {
   for (std::uint32_t block = 0; block < page_of_block_.size(); ++block) {
     const std::uint32_t page = page_of_block_[block];
     if (page != kNoPage && is_settled(page) && block < before.size() && before[block] == page) continue;
-    std::fill_n(column_of_row_.begin() + block * kBlockRows, kBlockRows, kNotHeld);
-    std::fill_n(target_page_of_row_.begin() + block * kBlockRows, kBlockRows, kNoPage);
+    const std::size_t first = std::size_t{block} * kBlockRows;
+    std::fill_n(column_of_row_.data() + first, kBlockRows, kNotHeld);
+    std::fill_n(target_page_of_row_.data() + first, kBlockRows, kNoPage);
   }
   for (const TargetPage& page : target_pages_) {
     if (!is_settled(page.page)) map_page(page);

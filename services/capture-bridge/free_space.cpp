@@ -40,7 +40,7 @@ float FreeSpace::distance(const glm::vec3& direction) const {
   float nearest = std::numeric_limits<float>::infinity();
   for (int y = std::max(0, row - 1); y <= std::min(height - 1, row + 1); ++y) {
     for (int x = std::max(0, column - 1); x <= std::min(width - 1, column + 1); ++x) {
-      const float depth_m = depth_m_.at(face)[static_cast<std::size_t>(y * width + x)];
+      const float depth_m = depth_m_.at(face)[static_cast<std::size_t>(y) * camera.width + static_cast<std::size_t>(x)];
       if (!(depth_m > 0)) continue;
       const glm::vec3 ray((static_cast<float>(x) + 0.5F - camera.cx) / camera.fx,
                           (static_cast<float>(y) + 0.5F - camera.cy) / camera.fy, 1);

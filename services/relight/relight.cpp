@@ -216,14 +216,15 @@ void Relight::update() {
   const auto newest_ready = newest();
   std::optional<PublishedModel> model;
   // The newest first: viewers and most pictures wait for it.
-  for (auto version = versions_.rbegin(); version != versions_.rend(); ++version) {
-    if (!is_due(version->second, now_ns)) continue;
+  for (auto at = versions_.end(); at != versions_.begin();) {
+    auto& [number, version] = *--at;
+    if (!is_due(version, now_ns)) continue;
     if (!model) model = PublishedModel::open(*model_, memory_, PublishedModel::Need::Average);
-    if (!model || !compute(version->second, *model)) {
+    if (!model || !compute(version, *model)) {
       model_.reset();  // its structure has moved on: the next message is on its way
       return;
     }
-    if (version->first == newest_ready->first) newest_computed_ns_ = now_ns;
+    if (number == newest_ready->first) newest_computed_ns_ = now_ns;
   }
 }
 

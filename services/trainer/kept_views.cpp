@@ -4,7 +4,7 @@
 #include <cmath>
 #include <limits>
 #include <memory>
-#include <ranges>
+#include <span>
 #include <utility>
 
 namespace splatbus::trainer {
@@ -67,10 +67,11 @@ std::vector<TrainingViewPtr> KeptViews::keep(const TrainingView& view, std::span
     take_out(farthest(cameras), gone);
   }
   TrainingView kept = view;
-  kept.kept_number = ++numbers_;
-  kept.camera.id = kKeptIds | kept.kept_number;
+  const std::uint32_t number = ++numbers_;
+  kept.kept_number = number;
+  kept.camera.id = kKeptIds | number;
   bytes_ += kept.bytes();
-  views_.emplace(kept.kept_number, Kept{.view = std::make_shared<const TrainingView>(std::move(kept)), .since = now});
+  views_.emplace(number, Kept{.view = std::make_shared<const TrainingView>(std::move(kept)), .since = now});
   return gone;
 }
 
@@ -103,7 +104,7 @@ std::vector<TrainingViewPtr> KeptViews::some_about(const TrainingView& view, flo
   std::ranges::stable_sort(about, {}, &Kept::asked);
   ++asked_;
   std::vector<TrainingViewPtr> some;
-  for (Kept* const kept : about | std::views::take(most)) {
+  for (Kept* const kept : std::span(about).first(std::min(most, about.size()))) {
     kept->asked = asked_;
     some.push_back(kept->view);
   }

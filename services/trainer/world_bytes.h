@@ -20,7 +20,7 @@ struct PageCost {
   explicit constexpr PageCost(const ParameterLayout& layout)
       : page(model::page_bytes(layout)),
         beside(kPageLanes * bytes_beside(layout)),
-        moments(kPageLanes * 2 * static_cast<std::size_t>(layout.channels()) * sizeof(float)) {
+        moments(2 * static_cast<std::size_t>(layout.channels()) * kPageLanes * sizeof(float)) {
     beside -= moments;
   }
   [[nodiscard]] constexpr std::size_t all(bool trains) const { return page + beside + (trains ? moments : 0); }

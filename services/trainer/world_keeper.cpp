@@ -161,7 +161,7 @@ bool WorldKeeper::start_round(Clock::time_point now, double elapsed_s) {
   // No round takes a disk beyond its ceiling before what it leaves behind can be compacted.
   const std::size_t on_disk = parameters_.disk_bytes > 0 ? parameters_.disk_bytes / kRoundsInDisk : SIZE_MAX;
   const std::size_t staged = std::max<std::size_t>(1, std::min(parameters_.staging_bytes, on_disk) / page_bytes);
-  const double most = static_cast<double>(staged * page_bytes);
+  const auto most = static_cast<double>(staged * page_bytes);
   allowance_bytes_ = std::min(most, allowance_bytes_ + elapsed_s * static_cast<double>(parameters_.bytes_per_s));
 
   auto round = spare_ ? std::move(spare_) : std::make_unique<KeepRound>();

@@ -75,7 +75,7 @@ void WorldKeeper::mark_elsewhere(const world::WorldProgress& progress) try {
 void WorldKeeper::restore() {
   const world::WorldProgress progress = world_->progress();
   std::vector<std::pair<PageKey, world::PageEntry>> entries;
-  for (const auto& entry : world_->pages()) entries.push_back(entry);
+  for (const auto& entry : world_->pages()) entries.emplace_back(entry);
   // Newest first: where damage has left a Gaussian in two pages, the later one is right.
   std::sort(entries.begin(), entries.end(), [](const auto& a, const auto& b) {
     return std::pair(a.second.segment, a.second.offset) > std::pair(b.second.segment, b.second.offset);

@@ -156,7 +156,7 @@ int standalone_main(int argc, char** argv) {
     }
     std::stop_source stop;
     const splatbus::bus::StopSignals signals(stop);
-    const splatbus::viewer::Options options = parameters.read<splatbus::viewer::Options>();
+    const auto options = parameters.read<splatbus::viewer::Options>();
     if (bench_s > 0) {
       bench(bench_s, bench_gaussians, bench_changing, options);
       return 0;

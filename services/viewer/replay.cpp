@@ -153,7 +153,7 @@ std::uint64_t replay_in_window(LogFeed& feed, Painter& painter, Window& window, 
 
 }  // namespace
 
-std::uint64_t replay(const std::string& log, const Options& options, Device device, std::stop_token stop) {
+std::uint64_t replay(const std::string& log, const Options& options, Device device, const std::stop_token& stop) {
   if (!options.window && (options.out.empty() || options.frames == 0)) {
     throw bus::Error(
         "a replay needs a window (--window), or a folder and which pictures: --set out=FOLDER --set frames=1");

@@ -13,6 +13,6 @@ namespace splatbus::viewer {
 /// picture makes one, and every n-th is written (`frames`, `out`), the camera `fps` of its pictures a second along its
 /// path. Returns how many were drawn. Throws std::runtime_error that names the log, and bus::Error where there is
 /// neither window nor folder.
-std::uint64_t replay(const std::string& log, const Options& options, Device device, std::stop_token stop);
+std::uint64_t replay(const std::string& log, const Options& options, Device device, const std::stop_token& stop);
 
 }  // namespace splatbus::viewer

@@ -180,7 +180,7 @@ bool Window::take_frame_all() {
 
 void Window::frame(const glm::vec3& centre_m, float radius_m) {
   const Camera now = camera();
-  const float least = static_cast<float>(std::min(now.width, now.height));
+  const auto least = static_cast<float>(std::min(now.width, now.height));
   impl_->rig.frame(centre_m, radius_m, 2 * std::atan(least / (2 * now.fy)));
 }
 

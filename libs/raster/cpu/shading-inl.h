@@ -304,11 +304,11 @@ HWY_INLINE void AddSources(const Frame& frame, const ObjectFrame& object, const 
   colour.x = hn::MulAdd(albedo.x, light.diffuse.x, colour.x);
   colour.y = hn::MulAdd(albedo.y, light.diffuse.y, colour.y);
   colour.z = hn::MulAdd(albedo.z, light.diffuse.z, colour.z);
-  for (int k = 0; k < 9; ++k) {
-    const int channel = ParameterLayout::kResidual + 3 * k;
-    colour.x = hn::MulAdd(in.Load(channel), light.residual[3 * k], colour.x);
-    colour.y = hn::MulAdd(in.Load(channel + 1), light.residual[3 * k + 1], colour.y);
-    colour.z = hn::MulAdd(in.Load(channel + 2), light.residual[3 * k + 2], colour.z);
+  for (int k = 0; k < 27; k += 3) {
+    const int channel = ParameterLayout::kResidual + k;
+    colour.x = hn::MulAdd(in.Load(channel), light.residual[k], colour.x);
+    colour.y = hn::MulAdd(in.Load(channel + 1), light.residual[k + 1], colour.y);
+    colour.z = hn::MulAdd(in.Load(channel + 2), light.residual[k + 2], colour.z);
   }
 }
 

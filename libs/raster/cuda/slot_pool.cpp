@@ -18,7 +18,7 @@ SlotPool::Slot SlotPool::take() {
 }
 
 void SlotPool::shrink(cudaStream_t stream, const std::function<void(Slot, Slot)>& moved) {
-  while (free_.size() >= 2 * kArenaSlots) {
+  while (free_.size() >= std::size_t{2} * kArenaSlots) {
     const auto first = static_cast<Slot>((arenas_.size() - 1) * kArenaSlots);
     for (Slot slot = first; slot < first + kArenaSlots; ++slot) {
       if (free_.erase(slot) > 0) continue;

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <bit>
+#include <span>
 
 namespace splatbus::stream::planes {
 
@@ -29,8 +30,8 @@ std::vector<std::uint8_t> classes_of(const QuantizedGaussians& page, const Strea
     const ShiftRule rule(layout, a.attribute);
     if (rule.cap() == 0) continue;
     std::fill(any.begin(), any.end(), 0);
-    for (int c = 0; c < a.channels; ++c) {
-      const auto& plane = page.channels[static_cast<std::size_t>(a.first + c)];
+    for (const auto& plane :
+         std::span(page.channels).subspan(static_cast<std::size_t>(a.first), static_cast<std::size_t>(a.channels))) {
       for (std::size_t i = 0; i < count; ++i) any[i] |= plane[i];
     }
     const int cap = rule.cap();

@@ -158,7 +158,7 @@ float PlaneFitter::cost(Shape shape, int slope, int spread) const {
   for (std::size_t k = 0; k < used_shifts_; ++k) {
     const Moments& m = moments_[k];
     const Spread at = spread_of(spread - slope * m.shift);
-    const float scale = std::bit_cast<float>(static_cast<std::uint32_t>(127 - at.low_bits) << 23U);
+    const auto scale = std::bit_cast<float>(static_cast<std::uint32_t>(127 - at.low_bits) << 23U);
     bits += static_cast<float>(at.low_bits) * m.count;
     if (shape == Shape::Laplace) {
       const Price& price = prices()[static_cast<std::size_t>(at.table)];
@@ -166,7 +166,7 @@ float PlaneFitter::cost(Shape shape, int slope, int spread) const {
       const float others = m.count - zeros;
       bits += zeros * price.zero + others * price.first + std::max(0.0F, m.magnitude * scale - others) * price.further;
     } else {
-      const Price& price = prices()[static_cast<std::size_t>(kSpreads + at.table)];
+      const Price& price = prices()[kSpreads + static_cast<std::size_t>(at.table)];
       bits += m.count * price.zero + m.square * scale * scale * price.further;
     }
   }

@@ -89,9 +89,9 @@ inline const std::uint8_t* lanes_below() {
 HWY_BEFORE_NAMESPACE();
 namespace splatbus::stream::planes::HWY_NAMESPACE {
 
-namespace hn = hwy::HWY_NAMESPACE;
-
 #if HWY_MAX_BYTES >= 32
+
+namespace hn = hwy::HWY_NAMESPACE;
 
 // Two short chains of gathers overlap where one long one waits.
 using D = hn::CappedTag<std::uint32_t, 8>;

@@ -73,9 +73,9 @@ inline std::uint32_t state_with(std::uint32_t x, CodedSymbol symbol, std::uint16
 HWY_BEFORE_NAMESPACE();
 namespace splatbus::stream::planes::HWY_NAMESPACE {
 
-namespace hn = hwy::HWY_NAMESPACE;
-
 #if HWY_MAX_BYTES >= 32
+
+namespace hn = hwy::HWY_NAMESPACE;
 
 using D = hn::CappedTag<std::uint32_t, kStates>;
 using I = hn::RebindToSigned<D>;

@@ -8,7 +8,8 @@ namespace splatbus::stream::planes {
 ShiftRule::ShiftRule(const StreamLayout& layout, Attribute attribute) : attribute_(attribute) {
   const float step = layout.at(attribute).quantizer.step;
   const float octaves = layout.at(Attribute::LogScale).quantizer.step * 1.442695F;
-  octaves_per_step_ = static_cast<std::int32_t>((octaves > 1.0F ? 1.0F : octaves) * (1 << kFraction) + 0.5F);
+  octaves_per_step_ =
+      static_cast<std::int32_t>(std::floor((octaves > 1.0F ? 1.0F : octaves) * (1 << kFraction) + 0.5F));
   // Found by what gives 50 dB in the fewest bytes: docs/decisions/0110-page-codec.md.
   const auto fine_at = [&](float unit, int cap) {
     constant_ = std::ilogb(unit / step);

@@ -46,7 +46,8 @@ Tables::Frequencies frequencies(Shape shape, std::size_t spread) {
   out[kEscape] = 1;
   for (int symbol = kEscape - 1; symbol > 0; --symbol) {
     // Below an eighth of the smallest frequency an escape costs less than the room it would take.
-    const std::uint64_t eighths = weight[static_cast<std::size_t>(symbol + 1) / 2] * (8 * kProbabilityOne) / sum;
+    const std::uint64_t eighths =
+        weight[static_cast<std::size_t>(symbol + 1) / 2] * (std::uint64_t{8} * kProbabilityOne) / sum;
     const auto frequency = static_cast<std::uint16_t>(eighths < 2 ? 0 : (eighths < 12 ? 1 : (eighths + 4) / 8));
     out[static_cast<std::size_t>(symbol)] = frequency;
     left -= frequency;

@@ -1,5 +1,7 @@
 #include "gateway/foxglove/parameter_board.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <charconv>
 #include <cmath>
@@ -24,10 +26,11 @@ NamedValues ParameterBoard::update(const std::string& source, const NamedValues&
   std::size_t taken = 0;
   for (const auto& [key, value] : parameters) {
     if (++taken > kMaxOfSource || parameters_.size() >= kMaxServices * kMaxOfSource) break;
-    Parameter& known = parameters_[source + "/" + key];
+    const std::string name = fmt::format("{}/{}", source, key);
+    Parameter& known = parameters_[name];
     if (known.source == source && known.value == value) continue;
     known = {source, key, value};
-    changed.emplace_back(source + "/" + key, value);
+    changed.emplace_back(name, value);
   }
   return changed;
 }

@@ -86,7 +86,7 @@ class Session final : public BrowserSocket {
   }
 
   static asio::awaitable<void> fetch(std::shared_ptr<BrowserSocket> self, std::uint32_t id, splats::Format format) {
-    Session& session = static_cast<Session&>(*self);
+    auto& session = static_cast<Session&>(*self);
     asio::steady_timer timer(session.socket_.get_executor());
     const std::int64_t began_ns = bus::now_ns();
     ModelFiles::Found found;

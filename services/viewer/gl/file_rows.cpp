@@ -39,7 +39,7 @@ stream::GpuRecord record_of(const GaussiansView& gaussians, std::size_t i) {
 }
 
 void append_harmonics(const GaussiansView& gaussians, std::size_t i, RowUpdate& out) {
-  std::array<float, 3 * kMaxShCoefficients> values{};
+  std::array<float, std::size_t{3} * kMaxShCoefficients> values{};
   const int count = 3 * gaussians.layout.sh_coefficients();
   for (int k = 0; k < count; ++k) {
     const float value = *gaussians.at(ParameterLayout::kAppearance + k, i);

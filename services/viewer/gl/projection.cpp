@@ -18,9 +18,10 @@ std::array<double, 12> view_of(const Camera& camera) {
   const Rigid view = inverse(camera.world_from_camera);
   const glm::dmat3 rotation = glm::mat3_cast(glm::dquat(view.rotation));
   std::array<double, 12> out{};
+  auto to = out.begin();
   for (int row = 0; row < 3; ++row) {
-    for (int column = 0; column < 3; ++column) out[static_cast<std::size_t>(4 * row + column)] = rotation[column][row];
-    out[static_cast<std::size_t>(4 * row + 3)] = view.translation[row];
+    for (int column = 0; column < 3; ++column) *to++ = rotation[column][row];
+    *to++ = view.translation[row];
   }
   return out;
 }

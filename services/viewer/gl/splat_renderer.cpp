@@ -129,6 +129,7 @@ void SplatRenderer::draw_quads(const Camera& camera) {
   glBlendFunc(GL_ONE, GL_ONE_MINUS_SRC_ALPHA);
   glBindVertexArray(quads_.get());
   glBindBuffer(GL_DRAW_INDIRECT_BUFFER, projection_.seen());
+  // NOLINTNEXTLINE(performance-no-int-to-ptr): OpenGL's offset into the bound buffer
   glDrawElementsIndirect(GL_TRIANGLES, GL_UNSIGNED_SHORT, reinterpret_cast<const void*>(offsetof(Seen, draw)));
 }
 

@@ -8,11 +8,10 @@ namespace {
 Transform matrix_of(const ObjectTransform& transform) {
   const glm::mat3 rotation = glm::mat3_cast(transform.rigid.rotation);
   Transform out{};
+  auto to = out.begin();
   for (int row = 0; row < 3; ++row) {
-    for (int column = 0; column < 3; ++column) {
-      out[static_cast<std::size_t>(4 * row + column)] = transform.scale * rotation[column][row];
-    }
-    out[static_cast<std::size_t>(4 * row + 3)] = transform.rigid.translation[row];
+    for (int column = 0; column < 3; ++column) *to++ = transform.scale * rotation[column][row];
+    *to++ = transform.rigid.translation[row];
   }
   return out;
 }

@@ -111,7 +111,8 @@ struct Found {
       if (entry.now.count == 0) throw std::logic_error("page " + std::to_string(page) + " is empty");
       device::copy(stream, page_words_read.data(), store.memory().words + page * words, words * 4);
       stream.wait();
-      const auto* const ids = reinterpret_cast<const std::uint64_t*>(page_words_read.data() + id_row * kRowWords);
+      const auto* const ids =
+          reinterpret_cast<const std::uint64_t*>(page_words_read.data() + std::size_t{id_row} * kRowWords);
       const auto* const values = reinterpret_cast<const float*>(page_words_read.data());
       for (std::uint32_t lane = 0; lane < entry.now.count; ++lane) {
         Place place{page * kPageLanes + lane, {.frame_id = entry.now.frame_id, .values = {}}};

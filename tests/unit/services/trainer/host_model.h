@@ -49,7 +49,7 @@ class HostModel {
     to.resize(index_of_.size());
     std::size_t k = 0;
     for (const auto& [id, i] : index_of_) {
-      const auto take = [&](std::vector<float>& planes, std::uint32_t row, std::size_t rows) {
+      const auto take = [&, i = i](std::vector<float>& planes, std::uint32_t row, std::size_t rows) {
         for (std::uint32_t c = 0; c < rows; ++c) planes[c * to.stride() + k] = *memory.value(row + c, i);
       };
       take(to.parameters, first_row, static_cast<std::size_t>(to.layout().channels()));

@@ -37,7 +37,7 @@ class KeptViewsTest : public testing::Test {
     EXPECT_TRUE(kept_.see(1).empty());
   }
   /// How many have gone for it.
-  std::size_t keep(const TrainingView& view, std::vector<float> cameras_m = {0}) {
+  std::size_t keep(const TrainingView& view, const std::vector<float>& cameras_m = {0}) {
     std::vector<Camera> cameras;
     for (const float x_m : cameras_m) cameras.push_back(view_at(x_m).camera);
     return kept_.keep(view, cameras).size();
