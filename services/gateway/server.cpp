@@ -185,7 +185,8 @@ struct Server::Impl {
       if (pages.poll(bus::now_ns())) wake_waiting();
       const auto [error] =
           co_await library_wake.descriptor.async_wait(asio::posix::stream_descriptor::wait_read, kNoThrow);
-      if (error) co_return;
+      // Aborted is what waited for a streamer that has been left.
+      if (error && error != asio::error::operation_aborted) co_return;
     }
   }
 

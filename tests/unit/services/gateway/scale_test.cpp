@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <atomic>
 #include <map>
+#include <nlohmann/json.hpp>
 
 #include "gateway_fixture.h"
 #include "stream/follower.h"
@@ -119,6 +120,25 @@ TEST_F(Shared, WhoeverTheDeadOneServedIsServedByTheOther) {
   trainer_.publish(stream::test::toy_model(2500, 1));
   ASSERT_TRUE(until([&] { return all_hold(2500) && viewers("streamer-2") == 4; }));
   for (const auto& page : pages_) EXPECT_FALSE(page->ever_empty()) << "the picture stands meanwhile";
+}
+
+TEST_F(Shared, PagesOverHttpComeFromTheOtherStreamer) {
+  const auto named = [&]() -> std::size_t {
+    const auto manifest = nlohmann::json::parse(get(port_, "/manifest.json").body, nullptr, false);
+    return manifest.is_object() ? manifest.value("gaussians", std::size_t{0}) : 0;
+  };
+  trainer_.freeze(true);
+  auto first = streamer("streamer-1");
+  trainer_.publish(stream::test::toy_model(1500, 1));
+  start_gateway("");
+  ASSERT_TRUE(until([&] { return named() == 1500; }));
+  const auto second = streamer("streamer-2");
+  ASSERT_TRUE(until([&] { return offers_.size() == 2; }));
+  first.reset();
+  trainer_.publish(stream::test::toy_model(1700, 1));
+  ASSERT_TRUE(until([&] { return named() == 1700; }));
+  const auto manifest = nlohmann::json::parse(get(port_, "/manifest.json").body);
+  for (const auto& page : manifest["pages"]) EXPECT_EQ(get(port_, page["path"]).status, 200) << page["path"];
 }
 
 /// A native viewer, which asks the bus itself.
