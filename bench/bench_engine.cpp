@@ -88,7 +88,7 @@ Cost measure(Renderer& renderer, const std::vector<std::vector<splatbus_camera>>
   return {cost.submit_ms / pictures, cost.whole_ms / pictures, cost.thousand_triangles / pictures};
 }
 
-/// Of the sun's maps, when two places take turns.
+/// Of a picture, when places take turns and the sun's maps with them.
 double shadow_milliseconds(Renderer& renderer, const std::vector<std::vector<splatbus_camera>>& domes) {
   NoReadback readback;
   const std::uint64_t before = renderer.shadow_maps_drawn();
@@ -138,8 +138,8 @@ int main(int argc, char** argv) {
   CLI::App app("Times the built-in engine's pictures of its world.", "bench_engine");
   splatbus::sim::Options options;
   app.add_option("--size", options.size, "width and height of pictures, pixels")->capture_default_str();
-  app.add_option("--cameras", options.cameras, "cameras of a place")->capture_default_str();
-  app.add_option("--places", options.places, "places along the walk")->capture_default_str();
+  app.add_option("--cameras", options.cameras, "cameras of a place")->capture_default_str()->check(CLI::Range(1, 1000));
+  app.add_option("--places", options.places, "places along the walk")->capture_default_str()->check(CLI::Range(1, 100));
   app.add_option("--seed", options.seed, "random seed of the world")->capture_default_str();
   app.add_option("--samples", options.renderer.samples, "coverage samples")->capture_default_str();
   app.add_option("--supersample", options.renderer.supersample, "shaded pixels a side of a pixel")

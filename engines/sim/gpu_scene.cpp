@@ -152,8 +152,8 @@ void GpuScene::place(std::size_t object, const glm::mat4& world_from_object) {
   instance_data_[parts_.size() + object] = instance;
 }
 
-/// By a copy on the GPU: what is drawn before keeps what it had, and NVIDIA's driver (580) does not draw with a small
-/// buffer that glNamedBufferSubData has filled.
+/// By a copy on the GPU: NVIDIA's driver (580) does not draw with instance attributes that glNamedBufferSubData has
+/// written to a small buffer.
 void GpuScene::send_placed(const std::vector<std::size_t>& objects) {
   if (objects.empty()) return;
   std::vector<InstanceData> data;

@@ -38,8 +38,8 @@ class GpuScene {
   [[nodiscard]] std::vector<Bounds> moving_bounds() const;
 
   /// Draws what may be seen with the programs that `program_for` gives for parts with and without holes, emissive or
-  /// not; of those that have a program and a texture in common the nearest first, in one call. Framebuffer, viewport
-  /// and the uniforms that do not depend on the part are the caller's.
+  /// not; of those that have a program, an array of textures and their sides in common the nearest first, in one call.
+  /// Framebuffer, viewport and the uniforms that do not depend on the part are the caller's.
   ///
   /// Enclosed objects come last, and only those of whose boxes anything is seen past the others: the picture is the
   /// same as if all of them were drawn.

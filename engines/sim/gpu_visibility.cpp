@@ -179,7 +179,8 @@ void GpuScene::leave_out_unseen(const std::vector<const Part*>& parts, const glm
   glUseProgram(instance_program_.get());
   glProgramUniform1ui(instance_program_.get(), kCommandCount, count);
   glDispatchCompute((count + kCommandsAGroup - 1) / kCommandsAGroup, 1, 1);
-  glMemoryBarrier(GL_COMMAND_BARRIER_BIT);
+  // The next list is written where this one lies.
+  glMemoryBarrier(GL_COMMAND_BARRIER_BIT | GL_BUFFER_UPDATE_BARRIER_BIT);
 }
 
 }  // namespace splatbus::sim

@@ -310,8 +310,8 @@ void CaptureBridge::submit_round(InputRig& rig, bool all) {
     // what the viewer is about to see.
     share = std::max(rig.share_asked(), options_->glance_share);
   }
-  // Nor is it where viewers share the cameras: each would have a model as large as if he were alone, twice as fine as
-  // what trains it has time for.
+  // Nor is it where viewers share the cameras: each would have a model twice as fine as if he were alone, in half of
+  // the time for it. One who is left alone has more again once he moves and is given cameras.
   share *= rig.share_owned(options_->dome.cameras);
   job.options.budget = static_cast<std::size_t>(static_cast<double>(job.options.budget) * share);
   worker_.submit(std::move(job));
@@ -319,7 +319,7 @@ void CaptureBridge::submit_round(InputRig& rig, bool all) {
 
 void CaptureBridge::submit_glance(InputRig& rig) {
   const InputViewPointer glance = std::exchange(rig.glance, nullptr);
-  // A round that is complete by it has it too.
+  // A round that is complete by it has it too. However few cameras the viewer has, this one is whole.
   if (!glance || options_->glance_share <= 0 || rig.round.ready(bus::now_ns(), INT64_MAX)) return;
   InputJob job{
       .views = {glance}, .rig_generation = rig.round.rig_generation(), .options = options_->sampling, .glance = true};

@@ -65,12 +65,13 @@ void Options::bind(bus::ParameterBinder& p) {
         "time after which an incomplete round of input pictures is used, and in which a round is to come, s",
         {.minimum = 0.01});
   p.add("input_views", input_views, "publish input pictures as training views too");
-  p.add("sample_budget", sampling.budget, "most samples in one input round", {100, 4e6});
-  p.add("glance_share", glance_share,
-        "share of sample_budget that the picture of a viewer's eye brings at once, and at least of a part of a dome; "
-        "0: it "
-        "waits for its round",
-        {0, 1});
+  p.add("sample_budget", sampling.budget, "most samples in one input round; viewers share it as they share the cameras",
+        {100, 4e6});
+  p.add(
+      "glance_share", glance_share,
+      "share of sample_budget that the picture of a viewer's eye brings at once, and of his own share at least that a "
+      "part of a dome brings; 0: it waits for its round",
+      {0, 1});
   p.add("far_field", far_field,
         "sample the far field where input pictures show no surface but more than the background");
   p.add("min_cosine", sampling.min_cosine, "smallest cosine to the normal at which a sample is kept", {0.01, 1});

@@ -18,6 +18,12 @@ using device::check;
 
 namespace {
 
+constexpr std::size_t kAlignment = 16, kMostBuffers = 7;
+
+std::size_t aligned(std::size_t bytes) {
+  return (bytes + kAlignment - 1) / kAlignment * kAlignment;
+}
+
 /// In its camera's buffer, until that is mapped.
 std::size_t offset_of(const splatbus_image& image) {
   return reinterpret_cast<std::uintptr_t>(image.data);
@@ -51,13 +57,14 @@ void GlInterop::begin(std::uint32_t /*width*/, std::uint32_t /*height*/, std::si
   images_.emplace_back();
   if (buffers_.size() < images_.size()) buffers_.emplace_back();
   PixelBuffer& pixels = buffers_[images_.size() - 1];
-  if (pixels.bytes < bytes) grow(pixels, bytes);
+  const std::size_t room = bytes + kMostBuffers * kAlignment;
+  if (pixels.bytes < room) grow(pixels, room);
 }
 
 void GlInterop::take(const DrawnPicture& drawn) {
   const PixelBuffer& pixels = buffers_.at(images_.size() - 1);
   const std::vector<splatbus_image>& before = images_.back();
-  const std::size_t offset = before.empty() ? 0 : offset_of(before.back()) + before.back().bytes;
+  const std::size_t offset = before.empty() ? 0 : aligned(offset_of(before.back()) + before.back().bytes);
   assert(offset + drawn.bytes <= pixels.bytes);
   auto* const at = reinterpret_cast<void*>(offset);  // NOLINT(performance-no-int-to-ptr): into the bound buffer
   glBindBuffer(GL_PIXEL_PACK_BUFFER, pixels.name.get());
@@ -97,10 +104,10 @@ const std::vector<std::vector<splatbus_image>>& GlInterop::finish() {
 }
 
 void GlInterop::grow(PixelBuffer& buffer, std::size_t bytes) {
+  buffer.bytes = 0;
   if (buffer.resource != nullptr) {
     check(cudaGraphicsUnregisterResource(std::exchange(buffer.resource, nullptr)), "giving back a pixel buffer");
   }
-  buffer.bytes = 0;
   buffer.name = make_buffer();
   // No flags: nobody but the device writes or reads it.
   glNamedBufferStorage(buffer.name.get(), static_cast<GLsizeiptr>(bytes), nullptr, 0);

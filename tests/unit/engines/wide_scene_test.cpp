@@ -94,16 +94,25 @@ TEST(WideScene, CascadesAreDrawnAgainOnlyWhenTheCameraMoves) {
   EXPECT_EQ(drawn({49, 4, -0.8F}), 6U) << "the two about the camera";
   EXPECT_EQ(drawn({9, 4, -0.8F}), 6U) << "those of the last places are kept";
   EXPECT_EQ(drawn({1, 4, -0.8F}), 6U);
+  EXPECT_EQ(drawn({-40, 4, -0.8F}), 8U);
+  EXPECT_EQ(drawn({-40, 4, 40}), 10U);
+  EXPECT_EQ(drawn({49, 4, -0.8F}), 11U) << "of the finest four are kept, and of the wider ones this is the fourth";
 }
 
 TEST(WideScene, PicturesTakenInTurnAtSeveralPlacesAreThoseOfEachAlone) {
   Renderer in_turn(shared_context(), field());
   // More of them than cascades are kept.
   const std::vector<glm::vec3> eyes{{1, 2, -0.8F}, {9, 2, 3}, {49, 2, 8}, {-30, 2, 25}, {20, 2, -60}, {70, 2, 70}};
-  for (int round = 0; round < 2; ++round) {
+  for (int round = 0; round < 3; ++round) {
+    const auto light = [&](Renderer& renderer) {
+      renderer.turn_sun(round == 1 ? 90 : 90 + 40 * round);
+      renderer.set_time(0);
+    };
+    light(in_turn);
     for (const glm::vec3& eye : eyes) {
       const splatbus_camera camera = look_at(eye, eye + glm::vec3(6, -1.5F, 2), 64, 64, 70);
       Renderer alone(shared_context(), field());
+      light(alone);
       const std::vector<std::uint8_t> expected = alone.render(camera, SPLATBUS_BUFFER_COLOR).color;
       EXPECT_EQ(in_turn.render(camera, SPLATBUS_BUFFER_COLOR).color, expected) << eye.x << " in round " << round;
     }
