@@ -14,9 +14,10 @@ class BridgeViewersTest : public CaptureBridgeTest {
   }
   /// Cameras of the newest rounds, by rig generation.
   [[nodiscard]] std::vector<glm::vec3> newest_round_about(const glm::vec3& place, float metres) {
-    for (auto message = received_["capture/input"].rbegin(); message != received_["capture/input"].rend(); ++message) {
+    const auto& rounds = received_["capture/input"];
+    for (std::size_t back = 1; back <= rounds.size(); ++back) {
       std::vector<glm::vec3> stands;
-      for (const wire::Camera* camera : *message->root<wire::CaptureInput>().cameras()) {
+      for (const wire::Camera* camera : *rounds[rounds.size() - back].root<wire::CaptureInput>().cameras()) {
         stands.push_back(from_wire(*camera).world_from_camera.translation);
       }
       const bool near =

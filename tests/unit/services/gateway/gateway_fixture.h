@@ -147,7 +147,7 @@ class GatewayTest : public stream_test::StreamTest {
 
   /// A file of this test's own.
   std::string write(const std::string& name, const std::string& text) const {
-    const std::string path = directory_.path() + "/" + name;
+    std::string path = directory_.path() + "/" + name;
     std::filesystem::create_directories(std::filesystem::path(path).parent_path());
     std::ofstream(path) << text;
     return path;
