@@ -27,7 +27,7 @@ bool reaches(const splatbus_light_source& source, const Bounds& bounds) {
   if (source.kind == SPLATBUS_LIGHT_POINT) return true;
   constexpr std::uint32_t kCoarse = 64;  // its margin is wider than that of any finer map
   const splatbus_camera cone = spot_camera(source, kCoarse, kCoarse);
-  return may_be_visible(bounds, clip_from_camera(cone, Projection::Pinhole) * camera_from_world(cone));
+  return Frustum(clip_from_camera(cone, Projection::Pinhole) * camera_from_world(cone)).may_show(bounds);
 }
 
 }  // namespace

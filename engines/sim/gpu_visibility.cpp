@@ -1,42 +1,13 @@
 // Which parts of a scene are drawn.
 #include <algorithm>
-#include <array>
-#include <glm/gtc/matrix_access.hpp>
 #include <glm/gtc/type_ptr.hpp>
 #include <utility>
 
 #include "sim/gpu_scene.h"
+#include "sim/projection.h"
 
 namespace splatbus::sim {
 namespace {
-
-/// The greatest value of dot(plane, p) in the box.
-float greatest(const glm::vec4& plane, const Bounds& box) {
-  const glm::vec3 normal(plane);
-  const glm::vec3 most = glm::max(normal * box.low, normal * box.high);
-  return plane.w + most.x + most.y + most.z;
-}
-
-/// What a picture can show lies on the positive side of all of its planes.
-class Frustum {
- public:
-  explicit Frustum(const glm::mat4& clip_from_world) : w_(glm::row(clip_from_world, 3)) {
-    for (int axis = 0; axis < 3; ++axis) {
-      const glm::vec4 along = glm::row(clip_from_world, axis);
-      planes_.at(2 * static_cast<std::size_t>(axis)) = w_ + along;
-      planes_.at(2 * static_cast<std::size_t>(axis) + 1) = w_ - along;
-    }
-  }
-  /// Not when all of the box lies beyond one plane.
-  [[nodiscard]] bool may_show(const Bounds& box) const {
-    return std::ranges::none_of(planes_, [&](const glm::vec4& plane) { return greatest(plane, box) < 0; });
-  }
-  [[nodiscard]] float farthest(const Bounds& box) const { return greatest(w_, box); }
-
- private:
-  glm::vec4 w_;
-  std::array<glm::vec4, 6> planes_{};
-};
 
 /// Whether a box comes before the near plane, so that its faces do not hide all that is in it.
 bool reaches_camera(const Bounds& bounds, const glm::mat4& clip_from_box) {

@@ -3,9 +3,21 @@
 #include <algorithm>
 #include <cmath>
 #include <glm/gtc/constants.hpp>
+#include <glm/gtc/matrix_access.hpp>
 #include <glm/gtc/quaternion.hpp>
 
 namespace splatbus::sim {
+namespace {
+
+/// The greatest value of dot(plane, p) in the box.
+float greatest(const glm::vec4& plane, const Bounds& box) {
+  const glm::vec3 normal(plane);
+  const glm::vec3 most = glm::max(normal * box.low, normal * box.high);
+  return plane.w + most.x + most.y + most.z;
+}
+
+}  // namespace
+
 Projection projection_by_role(const splatbus_camera& camera) {
   return camera.role == SPLATBUS_ROLE_LIGHT ? Projection::Orthographic : Projection::Pinhole;
 }
@@ -130,16 +142,20 @@ splatbus_camera fit_light_camera(const Bounds& bounds, const glm::vec3& sun_dire
   return best;
 }
 
-bool may_be_visible(const Bounds& bounds_world, const glm::mat4& clip_from_world) {
-  std::array<int, 6> outside{};
-  for (int i = 0; i < 8; ++i) {
-    const glm::vec4 p = clip_from_world * glm::vec4(bounds_world.corner(i), 1);
-    for (int axis = 0; axis < 3; ++axis) {
-      if (p[axis] < -p.w) ++outside.at(2 * static_cast<std::size_t>(axis));
-      if (p[axis] > p.w) ++outside.at(2 * static_cast<std::size_t>(axis) + 1);
-    }
+Frustum::Frustum(const glm::mat4& clip_from_world) : w_(glm::row(clip_from_world, 3)) {
+  for (int axis = 0; axis < 3; ++axis) {
+    const glm::vec4 along = glm::row(clip_from_world, axis);
+    planes_.at(2 * static_cast<std::size_t>(axis)) = w_ + along;
+    planes_.at(2 * static_cast<std::size_t>(axis) + 1) = w_ - along;
   }
-  return std::ranges::none_of(outside, [](int count) { return count == 8; });
+}
+
+bool Frustum::may_show(const Bounds& box_world) const {
+  return std::ranges::none_of(planes_, [&](const glm::vec4& plane) { return greatest(plane, box_world) < 0; });
+}
+
+float Frustum::farthest(const Bounds& box_world) const {
+  return greatest(w_, box_world);
 }
 
 }  // namespace splatbus::sim

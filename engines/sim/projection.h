@@ -39,7 +39,18 @@ void reach(splatbus_camera& camera, const Bounds& bounds);
 [[nodiscard]] splatbus_camera fit_light_camera(const Bounds& bounds, const glm::vec3& sun_direction,
                                                std::uint32_t width, std::uint32_t height);
 
-/// False when the whole box lies outside one plane of the clip volume.
-[[nodiscard]] bool may_be_visible(const Bounds& bounds_world, const glm::mat4& clip_from_world);
+/// What a picture can show lies on the positive side of six planes.
+class Frustum {
+ public:
+  explicit Frustum(const glm::mat4& clip_from_world);
+  /// Not when all of a box lies beyond one of the planes.
+  [[nodiscard]] bool may_show(const Bounds& box_world) const;
+  /// The greatest clip w in the box; of a pinhole camera metres along its axis.
+  [[nodiscard]] float farthest(const Bounds& box_world) const;
+
+ private:
+  glm::vec4 w_;
+  std::array<glm::vec4, 6> planes_{};
+};
 
 }  // namespace splatbus::sim
