@@ -51,6 +51,10 @@ void Options::bind(bus::ParameterBinder& p) {
         "rate for one viewer, all but probe pictures; at most a tenth more in any second; 0: found from what arrives, "
         "kbit/s",
         {0, 1e7});
+  p.add("join_kbps", hub.join_kbps,
+        "rate for one viewer until it has had all that it is to have, where that is more than viewer_kbps; 0: none, "
+        "kbit/s",
+        {0, 1e7});
   p.add("visibility_hz", visibility_hz, "most updates per second of which Gaussians see the light", {0.1, 240});
   p.add("visibility_kbps", visibility_kbps,
         "rate for visibility, encoded once for all viewers; shadows lag when it is too low, kbit/s", {10, 1e7});

@@ -284,7 +284,7 @@ void Streamer::begin_tick(std::int64_t now_ns) {
   }
   if (options_.refresh()) {
     model_.set_schedules(options_->stream.schedules);
-    hub_.set_rate(options_->hub.viewer_kbps);
+    hub_.set_rates(options_->hub.viewer_kbps, options_->hub.join_kbps);
   }
   // What no viewer has room for would only make all of them late.
   const double bytes_per_s = std::min(options_->budget_kbps * 125, hub_.delta_bytes_per_s().value_or(kUnlimited));

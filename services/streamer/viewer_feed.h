@@ -50,6 +50,8 @@ class ViewerFeed {
   void sent(std::int64_t now_ns);
   [[nodiscard]] std::uint64_t next_sequence() const { return sequence_ + 1; }
   [[nodiscard]] bool waits() const { return waits_; }
+  /// Whether it once had all that it is to have, since it began or started over.
+  [[nodiscard]] bool was_whole() const { return was_whole_; }
   /// Beside what next() gives: counted, and numbered.
   void sent_beside(double bytes, std::int64_t now_ns);
 
@@ -173,7 +175,7 @@ class ViewerFeed {
 
   Kind offered_ = Kind::None;
   SharedPacket packet_;
-  bool waits_ = false;
+  bool waits_ = false, was_whole_ = false;
   double most_kbps_ = 0;
   std::uint64_t sequence_ = 0;
   std::deque<Trace> traces_;

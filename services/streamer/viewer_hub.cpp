@@ -112,11 +112,17 @@ Endpoint::Sent ViewerHub::send_next(const Endpoint::Peer& peer, Viewer& viewer, 
   return sent;
 }
 
+void ViewerHub::set_rate(ViewerFeed& feed, std::int64_t now_ns) const {
+  const bool joins = options_.viewer_kbps > 0 && !feed.was_whole();
+  feed.rate().set(joins ? std::max(options_.viewer_kbps, options_.join_kbps) : options_.viewer_kbps, feed.most_kbps(),
+                  now_ns);
+}
+
 bool ViewerHub::pump(std::int64_t now_ns) {
   bool waits = false;
   for (auto at = viewers_.begin(); at != viewers_.end();) {
     Viewer& viewer = at->second;
-    viewer.feed.rate().set(options_.viewer_kbps, viewer.feed.most_kbps(), now_ns);
+    set_rate(viewer.feed, now_ns);
     auto sent = Endpoint::Sent::Yes;
     bool idle = false;
     for (int k = 0; k < kPacketsATurn && sent == Endpoint::Sent::Yes && !idle; ++k) {

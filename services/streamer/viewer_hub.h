@@ -27,6 +27,7 @@ struct HubOptions {
   double viewer_timeout_s = 5;  ///< a viewer that sends nothing, or reads nothing, for so long is forgotten
   float tick_hz = 5;
   double viewer_kbps = 9000;  ///< to one viewer; 0: found out
+  double join_kbps = 0;       ///< to one that has not been whole yet, where that is more
 };
 
 /// What viewers ask of the rest of the system.
@@ -66,7 +67,10 @@ class ViewerHub {
   /// To the viewer that asked for this probe; where somebody else did, to every viewer that wants probe pictures: by
   /// pump(), behind the model.
   void send_probe_picture(std::uint64_t probe_id, const stream::EncodedPacket& picture);
-  void set_rate(double viewer_kbps) { options_.viewer_kbps = viewer_kbps; }
+  void set_rates(double viewer_kbps, double join_kbps) {
+    options_.viewer_kbps = viewer_kbps;
+    options_.join_kbps = join_kbps;
+  }
 
   /// The most that any viewer has room for in deltas; nullopt without viewers.
   [[nodiscard]] std::optional<double> delta_bytes_per_s() const;
@@ -120,6 +124,7 @@ class ViewerHub {
   void begin(Viewer& viewer, bool has_scene);
   /// Its counts, when it goes.
   void remember(const Viewer& viewer);
+  void set_rate(ViewerFeed& feed, std::int64_t now_ns) const;
   Endpoint::Sent send_next(const Endpoint::Peer& peer, Viewer& viewer, std::int64_t now_ns, bool& idle);
   Endpoint::Sent send(const Endpoint::Peer& peer, const WirePacket& packet, std::uint64_t sequence = 0);
   [[nodiscard]] stream::EncodedPacket welcome(std::uint64_t connection) const;

@@ -214,7 +214,7 @@ void ViewerHub::hello(const Endpoint::Received& received, std::int64_t now_ns) {
   say(fmt::format("viewer {} {}", viewer.name, same ? "is back" : "joined"));
   statistics_.begin(now_ns);
   send(peer, WirePacket(welcome(viewer.connection)));
-  viewer.feed.rate().set(options_.viewer_kbps, viewer.feed.most_kbps(), now_ns);
+  set_rate(viewer.feed, now_ns);
   if (held.ready) begin(viewer, same && body.scene_version() == model_.scene_version());
   viewers_.insert_or_assign(peer, std::move(viewer));
 }

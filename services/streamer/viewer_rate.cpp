@@ -27,11 +27,14 @@ constexpr double kMostOfRate = 1.25;  // that the link is remembered to take
 void ViewerRate::set(double kbps, double most_kbps, std::int64_t now_ns) {
   if (kbps == kbps_ && most_kbps == most_kbps_) return;
   const bool first = kbps_ < 0, other = kbps != kbps_;
+  const bool less = kbps > 0 && (kbps_ == 0 || kbps < kbps_);
   kbps_ = kbps;
   most_kbps_ = most_kbps;
   const double wanted = most_kbps > 0 ? std::clamp(most_kbps * 125, kLeast, kMost) : kMost;
   most_ = kbps > 0 ? std::min(kbps * 125, wanted) : wanted;
-  if (other) {
+  if (less) {  // what the link takes has been found
+    link_ = std::min(link_, kbps * 125);
+  } else if (other) {
     link_ = kbps > 0 ? kbps * 125 : kFirst;
     samples_.clear();
   }

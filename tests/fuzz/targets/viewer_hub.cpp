@@ -183,7 +183,7 @@ class Run {
         if (choice / 5 % 3 != 0) sockets().answers[peer(choice)] = choice / 5 % 3 == 1 ? Sent::Full : Sent::Gone;
         break;
       case 12:
-        hub_.set_rate(choice % 2 == 0 ? 0 : 100.0 * choice);
+        hub_.set_rates(choice % 2 == 0 ? 0 : 100.0 * choice, 300.0 * (choice % 3));
         break;
       case 13:
         if (changes_) hub_.add(toy().tick());

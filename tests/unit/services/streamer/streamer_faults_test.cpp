@@ -115,6 +115,14 @@ class SteppedStreamerTest : public StreamerTest {
   bool settle(const std::function<bool()>& condition, Clients&... clients) {
     return poll_until([&] { return stepped_->turn(0), condition(); }, clients...);
   }
+  /// What was sent has arrived.
+  static void receive_all(StreamClient& client) {
+    for (int quiet = 0; quiet < 8;) {
+      const std::uint64_t before = client.received_bytes();
+      client.poll(1ms);
+      quiet = client.received_bytes() == before ? quiet + 1 : 0;
+    }
+  }
   /// The statistics of the `count`-th second from the first one asked for.
   struct Statistics {
     std::uint64_t total_bytes = 0, viewers = 0, whole_pages = 0, lost_viewers = 0;
@@ -158,12 +166,7 @@ TEST_F(SteppedStreamerTest, NoSecondHasMoreThanATenthAboveTheRateFromTheFirstPag
     }
     stepped_->turn(0.01);
     client.send_pose(look_at({1, 1, 1}, {0, 0, 0}, 8, 8, 1));
-    // What was sent has arrived before the next turn.
-    for (int quiet = 0; quiet < 8;) {
-      const std::uint64_t before = client.received_bytes();
-      client.poll(1ms);
-      quiet = client.received_bytes() == before ? quiet + 1 : 0;
-    }
+    receive_all(client);
     bytes.push_back(client.received_bytes());
     if (bytes.size() <= 100) continue;
     largest = std::max(largest, bytes.back() - bytes.front());
@@ -171,6 +174,39 @@ TEST_F(SteppedStreamerTest, NoSecondHasMoreThanATenthAboveTheRateFromTheFirstPag
   }
   EXPECT_LE(largest, 250'000U * 11 / 10);
   EXPECT_GT(largest, 200'000U) << "the rate was not used";
+}
+
+TEST_F(SteppedStreamerTest, AViewerIsWholeSoonAndHasItsOwnRateFromThenOn) {
+  start({{"viewer_kbps", "800"}, {"join_kbps", "20000"}, {"tick_hz", "5"}});
+  std::mt19937 random(3);
+  GaussiansBuffer model = stream::test::toy_model(20'000, 1);
+  trainer_.publish(model);
+  StreamClient client(options("one"));
+  ASSERT_TRUE(settle([&] { return client.connected() && client.received_bytes() > 0; }, client));
+  int hundredths = 0;
+  for (; client.replica().count() < 20'000 && hundredths < 300; ++hundredths) {
+    stepped_->turn(0.01);
+    client.send_pose(look_at({1, 1, 1}, {0, 0, 0}, 8, 8, 1));
+    receive_all(client);
+  }
+  const std::uint64_t whole_bytes = client.received_bytes();
+  EXPECT_GT(whole_bytes, 200'000U);
+  EXPECT_LT(hundredths, 100) << "at 800 kbit/s more than 2 s";
+  for (int second = 0; second < 4; ++second) {
+    const std::uint64_t before = client.received_bytes();
+    for (int hundredth = 0; hundredth < 100; ++hundredth) {
+      if (hundredth % 20 == 0) {
+        disturb(model, random);
+        trainer_.publish(model);
+      }
+      stepped_->turn(0.01);
+      client.send_pose(look_at({1, 1, 1}, {0, 0, 0}, 8, 8, 1));
+      receive_all(client);
+    }
+    EXPECT_LE(client.received_bytes() - before, 110'000U) << "second " << second;
+    if (second < 2) continue;  // how much of it deltas may have is found first
+    EXPECT_GT(client.received_bytes() - before, 60'000U) << "second " << second << ": the rate was not used";
+  }
 }
 
 TEST_F(SteppedStreamerTest, WhatARestingModelDidNotUseIsNotSpentLater) {

@@ -152,7 +152,7 @@ TEST_F(ViewerHubTest, AViewerThatTalksAndDoesNotReadIsRemoved) {
 // All that it is sent: what it joins with, scenes at the engine's rate, keepalives.
 TEST_F(ViewerHubTest, NoSecondHasMoreThanATenthAboveTheRateWhateverIsSent) {
   constexpr double kKbps = 1500;
-  hub_.set_rate(kKbps);
+  hub_.set_rates(kKbps, 0);
   publish(stream::test::toy_model(60'000, 1));
   join();
   SceneState scene;
