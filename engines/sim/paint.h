@@ -1,7 +1,10 @@
 #pragma once
 
+#include <tbb/parallel_for.h>
+
 #include <cstdint>
 #include <glm/glm.hpp>
+#include <vector>
 
 #include "sim/random.h"
 #include "sim/scene.h"
@@ -18,24 +21,21 @@ namespace splatbus::sim {
 /// Value noise in [0, 1) that repeats every `period` cells.
 [[nodiscard]] float noise(std::uint32_t seed, glm::vec2 p, glm::ivec2 period);
 
-/// Samples `color_at`(u, v), linear RGB, 2 x 2 times a texel.
+/// Samples `color_at`(u, v), linear RGB, 2 x 2 times a texel; on several threads.
 template <class ColorAt>
-Image paint(std::uint32_t side, ColorAt&& color_at) {
-  Image image{.width = side, .height = side, .rgba = {}};
-  image.rgba.reserve(std::size_t{4} * side * side);
-  for (std::uint32_t y = 0; y < side; ++y) {
-    for (std::uint32_t x = 0; x < side; ++x) {
+Image paint(std::uint32_t side, const ColorAt& color_at) {
+  Image image{.width = side, .height = side, .rgba = std::vector<std::uint8_t>(std::size_t{4} * side * side, 255)};
+  tbb::parallel_for(std::uint32_t{0}, side, [&](std::uint32_t y) {
+    std::uint8_t* texel = image.rgba.data() + std::size_t{4} * side * y;
+    for (std::uint32_t x = 0; x < side; ++x, texel += 4) {
       glm::vec3 sum{0};
       for (const glm::vec2 offset : {glm::vec2{0.25F, 0.25F}, {0.75F, 0.25F}, {0.25F, 0.75F}, {0.75F, 0.75F}}) {
         sum += color_at((static_cast<float>(x) + offset.x) / static_cast<float>(side),
                         (static_cast<float>(y) + offset.y) / static_cast<float>(side));
       }
-      for (int c = 0; c < 3; ++c) {
-        image.rgba.push_back(encode_srgb(sum[c] / 4));
-      }
-      image.rgba.push_back(255);
+      for (int c = 0; c < 3; ++c) texel[c] = encode_srgb(sum[c] / 4);
     }
-  }
+  });
   return image;
 }
 
