@@ -66,20 +66,22 @@ auto of_part(std::optional<DrawnFigures> DynamicsSample::*drawn, Part part) {
   };
 }
 
-std::optional<double> viewer_ssim(const DynamicsSample& sample) {
-  if (!sample.viewer) return {};
-  return sample.viewer->ssim;
+/// Whether this process came by a picture's visibility in time says nothing of the viewer.
+template <class Get>
+std::vector<TimedFigure> viewer_series(const DynamicsResults& results, Get get) {
+  return series_of(results, false, get);
 }
 
-std::vector<TimedFigure> viewer_series(const DynamicsResults& results) {
-  return series_of(results, false, viewer_ssim);
+template <class Get>
+Json viewer_mean(const DynamicsResults& results, Get get) {
+  return figure(mean_within(viewer_series(results, get), results.window));
 }
 
 /// By how much the same pixels are better in the still scene, of the pictures that have both.
-auto drop_of(Part part) {
+auto drop_of(std::optional<DrawnFigures> DynamicsSample::*drawn, Part part) {
   return [=](const DynamicsSample& sample) -> std::optional<double> {
-    if (!sample.on || !(sample.on->masked.*part) || !(sample.still.*part)) return {};
-    return *(sample.still.*part) - *(sample.on->masked.*part);
+    if (!(sample.*drawn) || !((sample.*drawn)->masked.*part) || !(sample.still.*part)) return {};
+    return *(sample.still.*part) - *((sample.*drawn)->masked.*part);
   };
 }
 
@@ -102,7 +104,7 @@ std::string csv_rows(const char* run, const DynamicsResults& results) {
   for (const DynamicsSample& sample : results.samples) {
     if (sample.on) add(sample, "on", *sample.on);
     if (sample.off) add(sample, "off", *sample.off);
-    if (sample.viewer) add(sample, "viewer", {.whole = *sample.viewer});
+    if (sample.viewer) add(sample, "viewer", *sample.viewer);
   }
   return rows;
 }
@@ -148,6 +150,10 @@ std::optional<double> ghost_flip(const DynamicsSample& sample) {
   return sample.on && sample.still_ghost_flip ? sample.on->ghost_flip : std::nullopt;
 }
 
+std::optional<double> viewer_ghost_flip(const DynamicsSample& sample) {
+  return sample.viewer && sample.still_ghost_flip ? sample.viewer->ghost_flip : std::nullopt;
+}
+
 std::optional<double> settled_flip(const DynamicsSample& sample) {
   return sample.on ? sample.on->settled_flip : std::nullopt;
 }
@@ -185,7 +191,8 @@ void write_sheet(const DynamicsResults& results, std::size_t camera, const fs::p
                               .columns = {},
                               .rows = {{.caption = "engine", .figures = {}, .pictures = {}},
                                        {.caption = "off", .figures = {"state frozen", "at the start"}, .pictures = {}},
-                                       {.caption = "on", .figures = {}, .pictures = {}}},
+                                       {.caption = "on", .figures = {}, .pictures = {}},
+                                       {.caption = "viewer", .figures = {"its own picture"}, .pictures = {}}},
                               .picture_height = 192};
   for (const DynamicsPictures& pictures : results.pictures) {
     const DynamicsSample& sample = results.samples[pictures.sample];
@@ -193,10 +200,12 @@ void write_sheet(const DynamicsResults& results, std::size_t camera, const fs::p
     std::string title = fmt::format("{:.1f} s", sample.time_s);
     if (sample.off) title += fmt::format("  off {:.3f}", sample.off->whole.ssim);
     if (sample.on) title += fmt::format("  on {:.3f}", sample.on->whole.ssim);
+    if (sample.viewer) title += fmt::format("  viewer {:.3f}", sample.viewer->whole.ssim);
     sheet.columns.push_back(title);
     sheet.rows[0].pictures.push_back(pictures.engine);
     sheet.rows[1].pictures.push_back(pictures.off);
     sheet.rows[2].pictures.push_back(pictures.on);
+    sheet.rows[3].pictures.push_back(pictures.viewer);
   }
   if (!sheet.columns.empty()) metrics::write_png(path, metrics::draw(sheet));
 }
@@ -258,13 +267,14 @@ void write_motion_sheet(const DynamicsResults& results, const fs::path& path) {
 Json summarize_still(const DynamicsResults& still) {
   return {{"still_ssim", mean(still, of_drawn(&DynamicsSample::on, &metrics::Quality::ssim))},
           {"still_flip", mean(still, of_drawn(&DynamicsSample::on, &metrics::Quality::flip))},
-          {"still_ssim_viewer", figure(mean_within(viewer_series(still), still.window))},
+          {"still_ssim_viewer", viewer_mean(still, of_drawn(&DynamicsSample::viewer, &metrics::Quality::ssim))},
           {"still_motion_residual", figure(mean_residual(still))}};
 }
 
 Json summarize_living(const DynamicsResults& living) {
   const auto on = &DynamicsSample::on;
   const auto off = &DynamicsSample::off;
+  const auto viewer = &DynamicsSample::viewer;
   const auto ssim = &metrics::Quality::ssim;
   const auto flip = &metrics::Quality::flip;
   std::size_t paired = 0;
@@ -277,12 +287,18 @@ Json summarize_living(const DynamicsResults& living) {
       {"off_flip", mean(living, of_drawn(off, flip))},
       {"masked_ssim", mean(living, of_part(on, &MaskedFigures::moving))},
       {"masked_ssim_off", mean(living, of_part(off, &MaskedFigures::moving))},
-      {"masked_ssim_drop", mean(living, drop_of(&MaskedFigures::moving))},
+      {"masked_ssim_drop", mean(living, drop_of(on, &MaskedFigures::moving))},
       {"shadow_ssim", mean(living, of_part(on, &MaskedFigures::shadow))},
       {"shadow_ssim_off", mean(living, of_part(off, &MaskedFigures::shadow))},
-      {"shadow_ssim_drop", mean(living, drop_of(&MaskedFigures::shadow))},
-      {"ssim_viewer", figure(mean_within(viewer_series(living), living.window))},
-      {"ssim_viewer_worst_second", figure(worst_second(viewer_series(living), living.window))},
+      {"shadow_ssim_drop", mean(living, drop_of(on, &MaskedFigures::shadow))},
+      {"ssim_viewer", viewer_mean(living, of_drawn(viewer, ssim))},
+      {"ssim_viewer_worst_second", figure(worst_second(viewer_series(living, of_drawn(viewer, ssim)), living.window))},
+      {"flip_viewer", viewer_mean(living, of_drawn(viewer, flip))},
+      {"masked_ssim_viewer", viewer_mean(living, of_part(viewer, &MaskedFigures::moving))},
+      {"masked_ssim_drop_viewer", viewer_mean(living, drop_of(viewer, &MaskedFigures::moving))},
+      {"shadow_ssim_viewer", viewer_mean(living, of_part(viewer, &MaskedFigures::shadow))},
+      {"shadow_ssim_drop_viewer", viewer_mean(living, drop_of(viewer, &MaskedFigures::shadow))},
+      {"ghost_flip_viewer", viewer_mean(living, viewer_ghost_flip)},
       {"state_delay_ms_median", figure(living.state_delay_ms_median)},
       {"state_delay_ms_p99", figure(living.state_delay_ms_p99)},
       {"picture_age_ms_median", figure(living.picture_age_ms_median)},
@@ -317,7 +333,8 @@ Json run_dynamics_evaluation(const DynamicsOptions& options, const StopSignals& 
                                          .scene = scene,
                                          .seconds = seconds,
                                          .support = support,
-                                         .log = out / fmt::format("services_{}.log", name)};
+                                         .log = out / fmt::format("services_{}.log", name),
+                                         .viewer_pictures = out / fmt::format("viewer_{}", name)};
     DynamicsResults results =
         run_dynamics(run_options, signals, still, [&](const std::string& state) { show_state(name + ": " + state); });
     for (std::size_t camera = 0; camera < kDynamicsCameras; ++camera) {

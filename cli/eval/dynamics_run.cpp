@@ -17,6 +17,8 @@ namespace splatbus::cli {
 
 namespace {
 
+namespace fs = std::filesystem;
+
 constexpr std::int64_t kSecond = 1'000'000'000;
 // A software engine draws 15 pictures a second: twice as often, half of them would be held-out ones.
 constexpr std::int64_t kRoundNs = kSecond;
@@ -62,10 +64,13 @@ class DynamicsRun {
                                 .phase_degrees = 180.0F / static_cast<float>(options.setup.cameras)})),
         view_(own_backend(options.setup.backend) == Device::Cpu ? 1 : 4),
         results_{.window = judged_window(options.seconds)},
-        shots_(results_.window, still),
+        shots_(results_.window, still, options.viewer_pictures),
         start_ns_(bus::now_ns()) {
-    pipeline_.start(plan_evaluation(options.setup, pipeline_.address(), false,
-                                    [&](LaunchFile& file) { apply(options.scene, file); }));
+    pipeline_.start(plan_evaluation(options.setup, pipeline_.address(), false, [&](LaunchFile& file) {
+      apply(options.scene, file);
+      apply_override(file, "viewer.out=" + fs::absolute(options.viewer_pictures).string());
+      apply_override(file, "viewer.probe_alpha=false");
+    }));
   }
 
   DynamicsResults run() {
@@ -81,8 +86,10 @@ class DynamicsRun {
     const std::int64_t end_ns = bus::now_ns();
     while (bus::now_ns() < end_ns + kViewerPatienceNs && (!waiting_.empty() || !viewer_answered())) step(false);
     pipeline_.stop();
-    shots_.compare(results_.samples);
-    take_viewer_figures();
+    shots_.compare(results_.samples, 0);
+    for (DynamicsPictures& pictures : results_.pictures) {
+      pictures.viewer = shots_.viewer_picture(results_.samples[pictures.sample].probe_id);
+    }
     results_.mean_maps = shots_.mean_maps();
     if (results_.samples.empty()) {
       throw std::runtime_error("no held-out picture was compared; see " + options_.log.string());
@@ -123,7 +130,7 @@ class DynamicsRun {
       find_lights();
     }
     if (waiting_.empty() && probes_.complete()) depths_.keep(false);
-    if (shots_.waiting() >= kMostShots) shots_.compare(results_.samples);
+    if (shots_.waiting() >= kMostShots) shots_.compare(results_.samples, kMostShots / 8);
     if (bus::now_ns() - shown_ns_ > kShowNs) {
       shown_ns_ = bus::now_ns();
       note_second();
@@ -182,15 +189,15 @@ class DynamicsRun {
                                 .objects = ids_of(probe.scene.objects),
                                 .on = {},
                                 .off = {},
+                                .viewer = {},
                                 .still = {},
-                                .still_ghost_flip = {},
-                                .viewer = {}});
+                                .still_ghost_flip = {}});
     return true;
   }
 
   void keep_for_sheets(const DynamicsShots::Drawn& drawn, double time_s, std::size_t camera) {
     const DynamicsPictures pictures{
-        .sample = results_.samples.size(), .engine = drawn.engine, .on = drawn.on, .off = drawn.off};
+        .sample = results_.samples.size(), .engine = drawn.engine, .on = drawn.on, .off = drawn.off, .viewer = {}};
     if (camera == 0 && !drawn.on.empty() && in_motion(time_s)) results_.motion.push_back(pictures);
     const int instant = static_cast<int>(time_s * kSheetInstants / options_.seconds);
     if (kept_.insert({instant, camera}).second) results_.pictures.push_back(pictures);
@@ -198,13 +205,6 @@ class DynamicsRun {
 
   [[nodiscard]] bool viewer_answered() const {
     return !results_.samples.empty() && pipeline_.state().viewer_quality.contains(results_.samples.back().probe_id);
-  }
-
-  void take_viewer_figures() {
-    const auto& answers = pipeline_.state().viewer_quality;
-    for (DynamicsSample& sample : results_.samples) {
-      if (const auto answer = answers.find(sample.probe_id); answer != answers.end()) sample.viewer = answer->second;
-    }
   }
 
   void note_pipeline() {

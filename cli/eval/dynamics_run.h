@@ -21,7 +21,7 @@ enum class Support { On, Off, Both };
 /// Pictures of a sample for the contact sheets.
 struct DynamicsPictures {
   std::size_t sample = 0;
-  cv::Mat engine, on, off;  ///< CV_8UC3 BGR; empty when it was not drawn
+  cv::Mat engine, on, off, viewer;  ///< CV_8UC3 BGR; empty when it was not drawn
 };
 
 struct DynamicsRunOptions {
@@ -30,6 +30,7 @@ struct DynamicsRunOptions {
   double seconds = 60;
   Support support = Support::Both;
   std::filesystem::path log;
+  std::filesystem::path viewer_pictures;  ///< folder to which the viewer writes its own
 };
 
 /// What the stream had sent, and how late its scenes were, at one time.

@@ -1,5 +1,10 @@
 #include "dynamics_shots.h"
 
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <opencv2/imgcodecs.hpp>
+#include <span>
 #include <utility>
 
 #include "shadow_mask.h"
@@ -100,18 +105,25 @@ std::optional<DrawnFigures> DynamicsShots::figures(const Shot& shot, const cv::M
   return result;
 }
 
-void DynamicsShots::compare(std::vector<DynamicsSample>& samples) {
-  for (const Shot& shot : shots_) {
+void DynamicsShots::compare(std::vector<DynamicsSample>& samples, std::size_t kept) {
+  const std::size_t count = shots_.size() - std::min(kept, shots_.size());
+  for (const Shot& shot : std::span(shots_).first(count)) {
     DynamicsSample& sample = samples[shot.sample];
     sample.on = figures(shot, shot.drawn.on, sample, true);
     sample.off = figures(shot, shot.drawn.off, sample, false);
+    sample.viewer = figures(shot, viewer_picture(sample.probe_id), sample, false);
     if (still_ == nullptr) continue;
     const auto maps = still_->find(sample.camera);
     if (maps == still_->end()) continue;
     sample.still = masked_figures(maps->second.ssim, shot);
     if (!shot.ghost.empty()) sample.still_ghost_flip = masked_mean(maps->second.flip, shot.ghost);
   }
-  shots_.clear();
+  shots_.erase(shots_.begin(), shots_.begin() + static_cast<std::ptrdiff_t>(count));
+}
+
+cv::Mat DynamicsShots::viewer_picture(std::uint64_t probe_id) const {
+  const std::filesystem::path file = viewer_ / fmt::format("probe_{}_viewer.png", probe_id);
+  return std::filesystem::exists(file) ? cv::imread(file, cv::IMREAD_COLOR) : cv::Mat();
 }
 
 MapsOfCameras DynamicsShots::mean_maps() const {

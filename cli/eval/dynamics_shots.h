@@ -2,10 +2,12 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <filesystem>
 #include <map>
 #include <opencv2/core.hpp>
 #include <optional>
 #include <set>
+#include <utility>
 #include <vector>
 
 #include "dynamics_figures.h"
@@ -40,9 +42,9 @@ struct DynamicsSample {
   bool extra = false;               ///< of a round of one camera alone, for motion: it is not judged
   std::set<std::uint32_t> objects;  ///< that can move and are there
   std::optional<DrawnFigures> on, off;
+  std::optional<DrawnFigures> viewer;      ///< of the viewer's own picture
   MaskedFigures still;                     ///< the still scene's at the same pixels
   std::optional<double> still_ghost_flip;  ///< likewise
-  std::optional<metrics::Quality> viewer;
 };
 
 /// Mean SSIM and FLIP of every pixel of a camera's pictures, CV_32FC1.
@@ -81,8 +83,10 @@ class GhostMasks {
 /// Drawn pictures that wait to be compared with the engine's: comparing takes longer than drawing.
 class DynamicsShots {
  public:
-  /// `still`: where it is given, the still scene's maps, for the same pixels' figures.
-  DynamicsShots(const TimeWindow& window, const MapsOfCameras* still) : window_(window), still_(still) {}
+  /// `still`: where it is given, the still scene's maps, for the same pixels' figures. `viewer`: the folder to which
+  /// the viewer writes its pictures of probes.
+  DynamicsShots(const TimeWindow& window, const MapsOfCameras* still, std::filesystem::path viewer)
+      : window_(window), still_(still), viewer_(std::move(viewer)) {}
 
   struct Drawn {
     cv::Mat engine, on, off;  ///< CV_8UC3 BGR; empty when it was not drawn
@@ -91,8 +95,11 @@ class DynamicsShots {
   void add(std::size_t sample, std::size_t camera, const ProbePicture& probe, const SceneLights* lights,
            const Drawn& drawn);
 
-  /// Fills in the figures of the samples whose pictures wait.
-  void compare(std::vector<DynamicsSample>& samples);
+  /// Fills in the figures of the samples whose pictures wait, but for the newest `kept`: the viewer may not have drawn
+  /// those yet.
+  void compare(std::vector<DynamicsSample>& samples, std::size_t kept);
+  /// The viewer's picture of a probe, CV_8UC3 BGR; empty where it has not written one.
+  [[nodiscard]] cv::Mat viewer_picture(std::uint64_t probe_id) const;
   [[nodiscard]] std::size_t waiting() const { return shots_.size(); }
   /// Of the pictures drawn "on" within the window.
   [[nodiscard]] MapsOfCameras mean_maps() const;
@@ -119,6 +126,7 @@ class DynamicsShots {
 
   TimeWindow window_;
   const MapsOfCameras* still_;
+  std::filesystem::path viewer_;
   GhostMasks ghosts_{2, 4}, settled_{15, 25};
   std::map<std::size_t, Before> before_;  ///< by camera
   std::vector<Shot> shots_;

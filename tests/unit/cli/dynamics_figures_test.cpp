@@ -1,7 +1,11 @@
 #include "dynamics_figures.h"
 
+#include <fmt/format.h>
 #include <gtest/gtest.h>
+#include <unistd.h>
 
+#include <filesystem>
+#include <opencv2/imgcodecs.hpp>
 #include <vector>
 
 #include "dynamics_evaluation.h"
@@ -117,8 +121,8 @@ DynamicsSample sample(double time_s, double on, double off) {
           .on = DrawnFigures{.whole = {.psnr_db = 30, .ssim = on, .flip = 1 - on},
                              .masked = {.moving = on - 0.1, .shadow = on - 0.2}},
           .off = DrawnFigures{.whole = {.psnr_db = 20, .ssim = off, .flip = 1 - off}, .masked = {}},
-          .still = {},
-          .viewer = {}};
+          .viewer = {},
+          .still = {}};
 }
 
 ObjectTransforms objects(std::initializer_list<std::uint32_t> ids) {
@@ -174,7 +178,8 @@ TEST(DynamicsFigures, SummaryHasEachFigureOfItsOwnRunAndWindow) {
   living.samples = {sample(10, 0.2, 0.1), sample(20, 0.9, 0.5), sample(21, 0.94, 0.7)};
   living.samples[1].still = {.moving = 0.83, .shadow = {}};  // 0.03 above its 0.8
   living.samples[2].still = {.moving = {}, .shadow = 0.75};  // 0.01 above its 0.74
-  living.samples[2].viewer = metrics::Quality{.psnr_db = 30, .ssim = 0.91, .flip = 0.1};
+  living.samples[2].viewer =
+      DrawnFigures{.whole = {.psnr_db = 30, .ssim = 0.91, .flip = 0.1}, .masked = {.moving = 0.5, .shadow = 0.71}};
   living.samples[1].on->ghost_flip = 0.07;
   living.samples[1].still_ghost_flip = 0.05;
   living.samples[2].on->ghost_flip = 0.5;
@@ -182,7 +187,10 @@ TEST(DynamicsFigures, SummaryHasEachFigureOfItsOwnRunAndWindow) {
   // Drawn with another instant's visibility: it is the viewer's picture that counts.
   living.samples.push_back(sample(22, 0.1, 0.1));
   living.samples.back().paired = false;
-  living.samples.back().viewer = metrics::Quality{.psnr_db = 30, .ssim = 0.89, .flip = 0.1};
+  living.samples.back().viewer = DrawnFigures{
+      .whole = {.psnr_db = 30, .ssim = 0.89, .flip = 0.3}, .masked = {.moving = 0.7, .shadow = {}}, .ghost_flip = 0.09};
+  living.samples.back().still = {.moving = 0.75, .shadow = {}};
+  living.samples.back().still_ghost_flip = 0.05;
   living.state_delay_ms_median = 12;
   living.scene_kbps = 55;
   nlohmann::json summary = summarize_still(still);
@@ -199,6 +207,11 @@ TEST(DynamicsFigures, SummaryHasEachFigureOfItsOwnRunAndWindow) {
   EXPECT_TRUE(summary["shadow_ssim_off"].is_null());
   EXPECT_NEAR(summary["ssim_viewer"], 0.90, 1e-6);
   EXPECT_NEAR(summary["ssim_viewer_worst_second"], 0.89, 1e-6);
+  EXPECT_NEAR(summary["flip_viewer"], 0.2, 1e-6);
+  EXPECT_NEAR(summary["masked_ssim_viewer"], 0.6, 1e-6);
+  EXPECT_NEAR(summary["masked_ssim_drop_viewer"], 0.05, 1e-6) << "only of pictures that have both";
+  EXPECT_NEAR(summary["shadow_ssim_drop_viewer"], 0.04, 1e-6);
+  EXPECT_NEAR(summary["ghost_flip_viewer"], 0.09, 1e-6);
   EXPECT_EQ(summary["state_delay_ms_median"], 12);
   EXPECT_TRUE(summary["state_delay_ms_p99"].is_null());
   EXPECT_EQ(summary["scene_kbps"], 55);
@@ -210,6 +223,40 @@ TEST(DynamicsFigures, SummaryHasEachFigureOfItsOwnRunAndWindow) {
   ASSERT_EQ(summary["on_ssim_by_minute"].size(), 2U);
   EXPECT_NEAR(summary["on_ssim_by_minute"][0], (0.2 + 0.9 + 0.94) / 3, 1e-6) << "of the whole run";
   EXPECT_NEAR(summary["on_ssim_by_minute"][1], 0.5, 1e-6);
+}
+
+/// Of a scene in which object 7 moves at the left; the engine shows it red.
+TEST(DynamicsShots, TheViewersOwnPictureIsJudgedInTheSameMasks) {
+  const auto folder = std::filesystem::temp_directory_path() / fmt::format("dynamics_shots_{}", getpid());
+  std::filesystem::create_directories(folder);
+  cv::Mat ids = cv::Mat::zeros(64, 64, CV_32SC1);
+  ids(cv::Rect(16, 24, 12, 12)) = 7;
+  cv::Mat engine(64, 64, CV_8UC3, cv::Scalar(90, 90, 90));
+  engine(cv::Rect(16, 24, 12, 12)) = cv::Scalar(20, 20, 200);
+  cv::Mat misses_it(64, 64, CV_8UC3, cv::Scalar(90, 90, 90));
+  ProbePicture probe;
+  probe.time_s = 5;
+  probe.picture = engine;
+  probe.object_id = ids;
+  probe.scene.objects = objects({7});
+  ASSERT_TRUE(cv::imwrite(folder / "probe_11_viewer.png", misses_it));
+  DynamicsShots shots({.from_s = 0, .to_s = 10}, nullptr, folder);
+  std::vector<DynamicsSample> samples(2);
+  for (std::size_t k = 0; k < 2; ++k) {
+    samples[k].probe_id = probe.probe_id = 11 + k;
+    samples[k].time_s = 5;
+    shots.add(k, 0, probe, nullptr, {.engine = engine, .on = engine, .off = {}});
+  }
+  shots.compare(samples, 1);
+  EXPECT_FALSE(samples[1].on) << "it is kept";
+  ASSERT_TRUE(samples[0].on && samples[0].viewer);
+  EXPECT_NEAR(*samples[0].on->masked.moving, 1, 1e-6);
+  EXPECT_LT(*samples[0].viewer->masked.moving, 0.8);
+  EXPECT_GT(samples[0].viewer->whole.ssim, *samples[0].viewer->masked.moving);
+  shots.compare(samples, 0);
+  EXPECT_TRUE(samples[1].on);
+  EXPECT_FALSE(samples[1].viewer) << "it has written none";
+  std::filesystem::remove_all(folder);
 }
 
 }  // namespace
