@@ -17,7 +17,7 @@
 namespace splatbus::bus {
 namespace {
 
-constexpr std::int64_t beat_ns = 200'000'000;
+constexpr std::int64_t beat_ns = 200'000'000, longest_wait_ms = 20;
 constexpr std::int64_t longest_trace_ns = 10'000'000'000;
 
 }  // namespace
@@ -48,11 +48,12 @@ void HeartbeatThread::run(const std::stop_token& stop) {
   std::int64_t next_beat = now_ns() + beat_ns;
   while (!stop.stop_requested()) {
     const std::int64_t left_ms = std::max<std::int64_t>(0, (next_beat - now_ns()) / 1'000'000);
-    // A short wait, so that finish() does not wait long for us.
-    control_.dispatch_all(std::chrono::milliseconds(std::min<std::int64_t>(left_ms, 50)));
-    if (now_ns() < next_beat) continue;
+    // A short wait: others start when this one is ready, and finish() waits for the thread.
+    control_.dispatch_all(std::chrono::milliseconds(std::min<std::int64_t>(left_ms, longest_wait_ms)));
+    const bool due = now_ns() >= next_beat;
+    if (due || state() != said_state_) beat(state());
+    if (!due) continue;
     next_beat = std::max(next_beat + beat_ns, now_ns());
-    beat(state());
     publish_spans();
   }
 }
@@ -109,6 +110,7 @@ void HeartbeatThread::obey(wire::Order order) {
 }
 
 void HeartbeatThread::beat(wire::ServiceState state) {
+  said_state_ = state;
   std::map<std::string, double> counters;
   std::string detail;
   {

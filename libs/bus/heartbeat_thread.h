@@ -36,6 +36,7 @@ class HeartbeatThread {
   const std::string kind_;
   Publisher publisher_;
   Subscriber control_;
+  wire::ServiceState said_state_ = wire::ServiceState::Starting;  ///< in the last heartbeat
   TokenBucket said_{5, 50};  ///< log lines about changed parameters
   std::jthread thread_;
 };

@@ -45,6 +45,7 @@ services:
   - name: trainer
   - name: relight
   - name: streamer
+    parameters: {join_kbps: 50000}
   - name: gateway
     parameters: {http: "127.0.0.1:${port}", web_root: "${site}"}
 ${Object.entries(gateways).map(serviceOf).join('')}`;
