@@ -124,16 +124,18 @@ void show(const Scene& scene, const std::string& title) {
   viewer::Window window(scene.camera, title, viewer::Window::For::Splats);
   const auto stage = make_stage(scene);
   const Middle middle = middle_of(scene.file.gaussians.view());
+  window.set_figures({.held = scene.file.gaussians.count(), .drawn = {}, .stream = {}});
   std::optional<Camera> shown;
   for (; !window.closed(); window.poll_events()) {
     if (window.take_frame_all()) window.frame(middle.centre, middle.radius_m);
     const Camera camera = scene.seen(window.camera());
-    if (shown == camera) {
+    if (shown == camera && !window.take_settings_changed()) {
       window.wait_events(kIdle);
       continue;
     }
     shown = camera;
-    stage->draw(camera, scene.state, viewer::gl::kSettled_s);
+    stage->set_resolution(window.settings().resolution);
+    stage->draw(camera, window.settings().applied_to(scene.state), viewer::gl::kSettled_s);
     window.swap();
   }
 }

@@ -1,12 +1,12 @@
 #include "sim/snapshot.h"
 
 #include <fmt/format.h>
+#include <stb_image_write.h>
 
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <opencv2/imgcodecs.hpp>
-#include <opencv2/imgproc.hpp>
+#include <opencv2/core.hpp>
 #include <sstream>
 #include <stdexcept>
 #include <vector>
@@ -106,15 +106,10 @@ void write_snapshot(Renderer& renderer, const splatbus_camera& camera, const std
   } else {
     throw std::runtime_error(fmt::format("snapshot: there is no buffer '{}'", buffer));
   }
-  cv::Mat bgr;
-  cv::cvtColor(rgb, bgr, cv::COLOR_RGB2BGR);
-  bool written = false;
-  try {
-    written = cv::imwrite(path, bgr);
-  } catch (const cv::Exception& error) {
-    throw std::runtime_error(fmt::format("snapshot: {} cannot be written: {}", path, error.what()));
+  // Not OpenCV's codecs: they load a hundred libraries, on which an engine that starts anew would wait.
+  if (stbi_write_png(path.c_str(), rgb.cols, rgb.rows, 3, rgb.data, static_cast<int>(rgb.step)) == 0) {
+    throw std::runtime_error(fmt::format("snapshot: {} cannot be written", path));
   }
-  if (!written) throw std::runtime_error(fmt::format("snapshot: {} cannot be written", path));
 }
 
 }  // namespace splatbus::sim

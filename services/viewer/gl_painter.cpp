@@ -29,18 +29,22 @@ class GlPainter final : public Painter {
     return any;
   }
 
+  void advance(std::int64_t shown_ns) override { stage_->advance(shown_ns); }
+
   cv::Mat draw(const Camera& camera, const SceneState& scene) override {
     const gl::Picture picture = stage_->capture(camera, scene, gl::kSettled_s);
     return metrics::from_rgba(picture.rgba.data(), camera.width, camera.height);
   }
 
   void show(Window& window, const Camera& camera, const SceneState& scene, float time_s) override {
+    stage_->set_resolution(window.settings().resolution);
     stage_->draw(camera, scene, time_s);
     window.swap();
     say_choice();
   }
 
-  bool settles(float time_s) const override { return time_s < faded_s_; }
+  bool settles(float time_s) const override { return time_s < faded_s_ || stage_->recoloring(); }
+  std::optional<std::size_t> drawn() const override { return stage_->count_seen(); }
   std::optional<gl::Bounds> bounds() const override { return stage_->bounds(); }
 
  private:

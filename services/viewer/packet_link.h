@@ -30,6 +30,8 @@ class PacketLink {
 
   /// True once after each connection that the streamer knows nothing of.
   [[nodiscard]] virtual bool take_opened() { return false; }
+  /// Nullopt where nobody measures it.
+  [[nodiscard]] virtual std::optional<double> round_trip_ms() const { return std::nullopt; }
   /// Something for the log, once.
   [[nodiscard]] virtual std::optional<std::string> take_notice() { return std::nullopt; }
 

@@ -3,6 +3,7 @@
 #include "raster/model_renderer.h"
 #include "stream/display_gaussians.h"
 #include "viewer/painter.h"
+#include "viewer/scaled.h"
 
 namespace splatbus::viewer {
 namespace {
@@ -38,7 +39,7 @@ class RasterPainter final : public Painter {
   }
 
   void show(Window& window, const Camera& camera, const SceneState& scene, float) override {
-    window.show(draw(camera, scene));
+    window.show(draw(scaled(camera, window.settings().resolution), scene));
   }
 
  private:

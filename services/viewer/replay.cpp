@@ -131,6 +131,8 @@ std::uint64_t replay_in_window(LogFeed& feed, Painter& painter, Window& window, 
     }
     Shown& shown = feed.take();  // what has faded
     changed = painter.take(shown) || changed;
+    changed = window.take_settings_changed() || changed;
+    window.set_figures({.held = shown.gaussians, .drawn = {}, .stream = {}});
     if (window.take_frame_all()) {
       if (const auto bounds = painter.bounds()) window.frame(bounds->centre, bounds->radius_m);
     }
@@ -145,7 +147,7 @@ std::uint64_t replay_in_window(LogFeed& feed, Painter& painter, Window& window, 
       continue;
     }
     before = camera;
-    painter.show(window, camera, scene ? *scene : *shown.scene, feed.time_s());
+    painter.show(window, camera, window.settings().applied_to(scene ? *scene : *shown.scene), feed.time_s());
     ++drawn;
   }
   return drawn;

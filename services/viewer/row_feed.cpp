@@ -84,10 +84,13 @@ std::vector<std::uint32_t> RowFeed::free_vanished(float now_s) {
 void RowFeed::describe(gl::Batch& batch) const {
   batch.object_ids = rows_.object_ids();
   batch.display_space = replica_.layout().appearance == Appearance::Radiance;
+  batch.colors_ns = colors_ns_;
+  batch.scene_ns = replica_.scene_instant().capture_ns;
 }
 
 gl::SharedBatch RowFeed::take(float now_s) {
   auto batch = std::make_shared<gl::Batch>();
+  color_times_.see(replica_);
   const std::vector<std::uint32_t> vanished = free_vanished(now_s);
   take_rows(now_s, batch->update);
   for (const std::uint32_t row : vanished) {
@@ -99,11 +102,13 @@ gl::SharedBatch RowFeed::take(float now_s) {
   add_harmonics(batch->update);
   if (rows_.unsent() == 0) {
     rows_.take_colors(kMostRows, batch->colors.rows, batch->colors.colors);
+    colors_ns_ = color_times_.taken(replica_, batch->colors.rows.size() == kMostRows);
     for (std::size_t k = 0; k < batch->colors.rows.size(); ++k) {
       records_[batch->colors.rows[k]].color = batch->colors.colors[k];
     }
   }
   if (batch->update.rows.empty() && batch->colors.rows.empty()) return nullptr;
+  batch->whole = !std::exchange(begun_, true);
   if (bounded_s_ < 0 || now_s - bounded_s_ > kBoundsEvery_s) {
     batch->bounds = bounds();
     bounded_s_ = now_s;

@@ -4,6 +4,7 @@
 #include <deque>
 #include <vector>
 
+#include "stream/color_times.h"
 #include "stream/gpu_rows.h"
 #include "viewer/gl/batch.h"
 
@@ -34,7 +35,9 @@ class RowFeed {
 
   stream::Replica& replica_;
   stream::GpuRows rows_;
-  bool fades_on_;
+  stream::ColorTimes color_times_;
+  std::int64_t colors_ns_ = 0;
+  bool fades_on_, begun_ = false;
   std::vector<stream::GpuRecord> records_;  ///< as they were handed on
   std::vector<float> fades_;
   std::vector<std::uint32_t> harmonics_;  ///< [rows][harmonic_words_]

@@ -25,18 +25,20 @@ std::unique_ptr<PacketLink> make_link(const ClientOptions& options) {
 }  // namespace
 
 StreamClient::StreamClient(ClientOptions options)
-    : options_(std::move(options)),
-      link_(make_link(options_)),
-      follower_({.name = options_.name,
-                 .probes = options_.probes,
-                 .hello_every_ns = options_.hello_every_ns,
-                 .silence_ns = options_.silence_ns,
-                 .pose_every_ns = options_.pose_every_ns,
-                 .max_gaussians = options_.max_gaussians,
-                 .max_kbps = options_.max_kbps,
-                 .held_picture_bytes = options_.held_picture_bytes},
-                options_.now_ns()) {
+    : options_(std::move(options)), link_(make_link(options_)), follower_(make_follower()) {
   if (!options_.packet_log.empty()) packet_log_.emplace(options_.packet_log);
+}
+
+stream::Follower StreamClient::make_follower() const {
+  return stream::Follower({.name = options_.name,
+                           .probes = options_.probes,
+                           .hello_every_ns = options_.hello_every_ns,
+                           .silence_ns = options_.silence_ns,
+                           .pose_every_ns = options_.pose_every_ns,
+                           .max_gaussians = options_.max_gaussians,
+                           .max_kbps = options_.max_kbps,
+                           .held_picture_bytes = options_.held_picture_bytes},
+                          options_.now_ns());
 }
 
 StreamClient::~StreamClient() {
@@ -62,6 +64,17 @@ void StreamClient::follow_streamer() {
   options_.endpoint = std::move(found);
   link_ = make_link(options_);
   follower_.restart();
+}
+
+bool StreamClient::set_budget(std::size_t max_gaussians, std::uint32_t max_kbps) {
+  options_.max_kbps = max_kbps;
+  follower_.set_max_kbps(max_kbps);
+  if (max_gaussians == options_.max_gaussians) return false;
+  options_.max_gaussians = max_gaussians;
+  send(follower_.farewell());
+  link_ = make_link(options_);
+  follower_ = make_follower();
+  return true;
 }
 
 bool StreamClient::poll(std::chrono::milliseconds timeout, int wake) {

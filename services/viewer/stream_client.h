@@ -54,6 +54,11 @@ class StreamClient {
   void send_probe(std::uint64_t probe_id, const Camera& camera);
   void send_quality(std::uint64_t probe_id, const metrics::Quality& quality, std::int64_t first_picture_ns);
 
+  /// Others than the options'. True when the model is asked for anew, since it is to have another size: replica() is
+  /// another one, and nobody observes it.
+  bool set_budget(std::size_t max_gaussians, std::uint32_t max_kbps);
+  [[nodiscard]] std::optional<double> round_trip_ms() const { return link_->round_trip_ms(); }
+
   // The follower's.
   [[nodiscard]] const stream::Replica& replica() const { return follower_.replica(); }
   [[nodiscard]] stream::Replica& replica() { return follower_.replica(); }
@@ -74,6 +79,7 @@ class StreamClient {
   StreamClient& operator=(const StreamClient&) = delete;
 
  private:
+  [[nodiscard]] stream::Follower make_follower() const;
   void follow_streamer();
   bool receive_all();
   bool receive(std::span<const std::uint8_t> packet, std::span<const std::uint8_t> payload);

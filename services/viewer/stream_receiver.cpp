@@ -16,6 +16,7 @@ using namespace std::chrono_literals;
 constexpr std::chrono::milliseconds kLongestPoll = 50ms;  // a client has more to do than to receive
 constexpr std::int64_t kMeasureEveryNs = 250'000'000;
 constexpr std::size_t kMaxScenes = 16;
+constexpr double kMostMissing = 0.02;           // of all pages, in a model that may take the place of one that is seen
 constexpr std::size_t kMinBatchRows = 1 << 18;  // below that all is not worth its while
 
 }  // namespace
@@ -76,13 +77,31 @@ ReceiverStatus StreamReceiver::measure() {
           .lacked = client_.lacked(),
           .scene_delays = delays.count(),
           .scene_delay_ms_p50 = delays.quantile(0.5),
-          .scene_delay_ms_p99 = delays.quantile(0.99)};
+          .scene_delay_ms_p99 = delays.quantile(0.99),
+          .round_trip_ms = client_.round_trip_ms()};
+}
+
+bool StreamReceiver::replaces() {
+  const stream::Replica& replica = client_.replica();
+  const auto pages = static_cast<double>(replica.pages());
+  return pages > 0 && static_cast<double>(replica.missing_pages()) <= kMostMissing * pages;
 }
 
 void StreamReceiver::hand_over(bool changed) {
   const stream::Replica& replica = client_.replica();
-  stream::DisplayChanges changes = client_.take_changes();
   gl::SharedBatch batch = feed_ ? feed_->take(fade_time_s(bus::now_ns())) : nullptr;
+  std::optional<ReceiverStatus> status;
+  if (const std::int64_t now_ns = bus::now_ns(); now_ns - measured_ns_ > kMeasureEveryNs) {
+    measured_ns_ = now_ns;
+    status = measure();
+  }
+  if (renews_ && !replaces()) {
+    const std::scoped_lock lock(mutex_);
+    if (status) status_ = *status;
+    return;
+  }
+  if (std::exchange(renews_, false) && feed_) batch = feed_->everything();
+  stream::DisplayChanges changes = client_.take_changes();
   changed = changed || !changes.empty() || batch;
   const SceneKey key{replica.epoch(), replica.scene_version(), replica.scene_instant().frame};
   std::shared_ptr<const SceneState> scene;
@@ -90,16 +109,15 @@ void StreamReceiver::hand_over(bool changed) {
     scene = std::make_shared<const SceneState>(replica.scene());
     scene_key_ = key;
   }
-  std::optional<ReceiverStatus> status;
-  if (const std::int64_t now_ns = bus::now_ns(); now_ns - measured_ns_ > kMeasureEveryNs) {
-    measured_ns_ = now_ns;
-    status = measure();
-  }
   const std::scoped_lock lock(mutex_);
   shown_.changes.append(std::move(changes));
   // Whoever draws no more does not make this grow.
   if (replica.exceeds_whole(shown_.changes)) shown_.changes = replica.whole();
   if (batch) {
+    if (batch->whole) {
+      shown_.batches.clear();
+      batch_rows_ = 0;
+    }
     batch_rows_ += batch->update.rows.size() + batch->colors.rows.size();
     if (batch_rows_ > kMinBatchRows + 2 * feed_->capacity()) {
       shown_.batches.clear();
@@ -162,6 +180,23 @@ void StreamReceiver::post(std::function<void(StreamClient&)> action) {
     posted_.push_back(std::move(action));
   }
   wake();
+}
+
+void StreamReceiver::set_budget(std::size_t max_gaussians, std::uint32_t max_kbps) {
+  post([this, max_gaussians, max_kbps](StreamClient& client) {
+    if (!client.set_budget(max_gaussians, max_kbps)) return;
+    renews_ = true;
+    scene_key_ = {};
+    if (feed_) feed_.emplace(client.replica(), true);
+  });
+}
+
+std::future<ShownModel> StreamReceiver::copy_model() {
+  const auto copy = std::make_shared<std::promise<ShownModel>>();
+  post([copy](StreamClient& client) {
+    copy->set_value({.changes = client.replica().whole(), .scene = client.replica().scene()});
+  });
+  return copy->get_future();
 }
 
 void StreamReceiver::send_pose(const Camera& camera) {

@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <exception>
 #include <functional>
+#include <future>
 #include <memory>
 #include <mutex>
 #include <optional>
@@ -26,6 +27,13 @@ struct ReceiverStatus {
   std::uint64_t received_bytes = 0, refused = 0, lost = 0, lacked = 0;
   std::size_t scene_delays = 0;  ///< that were measured
   double scene_delay_ms_p50 = 0, scene_delay_ms_p99 = 0;
+  std::optional<double> round_trip_ms;
+};
+
+/// What was shown at one instant.
+struct ShownModel {
+  stream::DisplayChanges changes;  ///< for a fresh stream::DisplayGaussians
+  SceneState scene;
 };
 
 /// A StreamClient on a thread of its own, so that what arrives is held, and what is missing asked for, however long a
@@ -55,6 +63,9 @@ class StreamReceiver {
   void send_quality(std::uint64_t probe_id, const metrics::Quality& quality, std::int64_t first_picture_ns);
   [[nodiscard]] std::optional<ProbeAnswer> take_probe_answer();
   [[nodiscard]] ReceiverStatus status() const;
+  /// As StreamClient's. What is shown stays until the model of another size is there.
+  void set_budget(std::size_t max_gaussians, std::uint32_t max_kbps);
+  [[nodiscard]] std::future<ShownModel> copy_model();
 
  private:
   void run();
@@ -62,6 +73,8 @@ class StreamReceiver {
   void wake();
   void do_posted();
   void hand_over(bool changed);
+  /// Whether what is held may take the place of what is shown.
+  [[nodiscard]] bool replaces();
   [[nodiscard]] ReceiverStatus measure();
 
   using SceneKey = std::tuple<std::uint64_t, std::uint64_t, std::uint64_t>;  // epoch, version, frame
@@ -70,6 +83,7 @@ class StreamReceiver {
   std::optional<RowFeed> feed_;   // too
   SceneKey scene_key_{};          // too
   std::int64_t measured_ns_ = 0;  // too
+  bool renews_ = false;           // too: the model was asked for anew
   bus::FileDescriptor wake_;
 
   mutable std::mutex mutex_;  // of all below

@@ -58,43 +58,6 @@ std::unique_ptr<Painter> make_painter(const Options& options, Device device) {
 
 }  // namespace
 
-void Options::bind(bus::ParameterBinder& p) {
-  using bus::kFixed;
-  p.add("endpoint", endpoint, "endpoint of a streamer; empty: one of those on the bus, and another when it leaves",
-        bus::viewer_endpoint_rule(), kFixed);
-  p.add("fps", fps, "most pictures per second; one is drawn when scene, model or camera have changed", {0.1, 240});
-  p.add("threads", threads, "CPU rendering threads (0: one per core)", {0, 1024}, kFixed);
-  p.add("key", key, "key file for a streamer on another machine; empty: SPLATBUS_KEY", kFixed);
-  p.add("server_key", server_key, "public key of that streamer; empty: SPLATBUS_SERVER_KEY", kFixed);
-  p.add("token", token, "token for a gateway (ws://, wss://); empty: the one in the address, or SPLATBUS_TOKEN",
-        kFixed);
-  p.add("ca", ca, "PEM file of the authority that signed the gateway's certificate; empty: those the system trusts",
-        kFixed);
-  p.add("out", out, "folder for pictures; empty: write none", kFixed);
-  p.add("frames", frames, "write every n-th picture to 'out' as frame_<number>.png; 0: none", {0, 1e9});
-  p.add("probe", probe,
-        "compare with the engine's own pictures when they arrive; write probe_<id>_viewer.png and probe_<id>_alpha.png "
-        "(black where nothing is modelled) to 'out'",
-        kFixed);
-  p.add("probe_period_s", probe_period_s,
-        "with 'probe': time between requests for the engine's picture of this camera; 0: only what others ask for, s",
-        {0, 1e6});
-  p.add("window", window, "open a window, steered with mouse and keys, drawn at the display's rate", kFixed);
-  p.add("opengl", opengl, "draw with OpenGL even without a window", kFixed);
-  p.add("draw", draw,
-        "how OpenGL draws: as quads, as tiles in compute shaders, or by whichever is the faster on this device",
-        {{"auto", gl::Draw::Auto}, {"quads", gl::Draw::Quads}, {"tiles", gl::Draw::Tiles}}, kFixed);
-  p.add("max_gaussians", max_gaussians,
-        "most Gaussians held; of a larger world, those that add most to this viewer's picture",
-        {1024, static_cast<double>(stream::kMaxGaussians)}, kFixed);
-  p.add("max_kbps", max_kbps, "rate below which the streamer is asked to stay, kbit/s; 0: the streamer's own", {0, 1e7},
-        kFixed);
-  p.add("record_file", record_file, "file for the camera's way, to be replayed with path=recorded; empty: none",
-        kFixed);
-  p.add("packet_log", packet_log, "file for every packet from the streamer; empty: none", kFixed);
-  path.bind(p);
-}
-
 Viewer::Viewer(const bus::Parameters& parameters, ViewerHost host)
     : options_(parameters),
       host_(std::move(host)),
@@ -108,27 +71,32 @@ Viewer::Viewer(const bus::Parameters& parameters, ViewerHost host)
       painter_(make_painter(*options_, host_.device)),
       begin_ns_(bus::now_ns()),
       next_probe_id_(first_probe_id()) {
+  if (window_) {
+    window_stream_.emplace(*window_, receiver_, options_->out, options_->max_gaussians,
+                           static_cast<std::uint32_t>(options_->max_kbps));
+  }
   if (!options_->record_file.empty()) recorder_.emplace(options_->record_file);
 }
 
 void Viewer::run() {
-  bool changed = true;
+  bool changed = true, drawn = false;
   while (!host_.stop.stop_requested() && !(window_ && window_->closed())) {
     refresh_options();
     const auto period_ns = static_cast<std::int64_t>(1e9 / options_->fps);
     // Until the next picture is due; with none to draw, until the camera may have moved. Packets are taken at once.
     const std::int64_t left_ns = draws_at_display_rate() ? 0 : drawn_ns_ + period_ns - bus::now_ns();
     const std::int64_t idle_ns = draws_at_display_rate() ? kIdleWindowNs : period_ns;
-    const std::int64_t wait_ns = std::min(left_ns > 0 ? left_ns : changed ? 0 : idle_ns, kLongestWaitNs);
+    const std::int64_t wait_ns = std::min(left_ns > 0 ? left_ns : changed || drawn ? 0 : idle_ns, kLongestWaitNs);
     receiver_.wait_for(std::chrono::nanoseconds(probe_ ? std::min(wait_ns, kProbeLookNs) : wait_ns), !probe_);
     changed = take() || changed;
-    if (window_) window_->poll_events();
+    changed = serve_window() || changed;
     const std::int64_t now_ns = bus::now_ns();
     const bool first = first_picture_ns_ == 0 && shown_.gaussians > 0;
     if (draws_at_display_rate() || now_ns >= drawn_ns_ + period_ns || first) {
-      const bool drawn = show(changed);
+      drawn = show(changed);
       if (drawn) drawn_ns_ = now_ns;
-      changed = drawn && draws_at_display_rate();  // the camera may be on its way
+      drawn = drawn && draws_at_display_rate();  // the camera may be on its way
+      changed = false;
     }
     ask_probe(now_ns);
     answer_probes();
@@ -137,6 +105,13 @@ void Viewer::run() {
       report();
     }
   }
+}
+
+bool Viewer::serve_window() {
+  if (!window_) return false;
+  window_->poll_events();
+  window_stream_->turn(bus::now_ns(), *painter_, shown_.gaussians, scene_arrived_ns_);
+  return window_->take_settings_changed();
 }
 
 void Viewer::refresh_options() {
@@ -154,6 +129,7 @@ bool Viewer::take() {
   const bool changed = receiver_.take(shown_);
   for (TimedScene& state : shown_.scenes) {
     ages_.came(*state.scene, state.capture_ns);
+    scene_arrived_ns_ = state.arrived_ns;
     playout_.add(std::move(state.scene), state.capture_ns, state.arrived_ns);
   }
   shown_.scenes.clear();
@@ -172,6 +148,7 @@ bool Viewer::show(bool changed) {
   const Camera before = camera_;
   const bool moving = playout_.moving();
   playout_.advance(now_ns);
+  painter_->advance(playout_.shown_ns());
   const std::shared_ptr<const SceneState> played = playout_.scene();
   const SceneState& scene = played ? *played : *shown_.scene;
   if (window_) window_->follow(scene);
@@ -194,7 +171,7 @@ bool Viewer::show(bool changed) {
   if (writes || !window_) picture = draw(camera_, scene);
   if (window_) {
     const std::int64_t begin_ns = bus::now_ns();
-    painter_->show(*window_, camera_, scene, time_s);
+    painter_->show(*window_, camera_, window_->settings().applied_to(scene), time_s);
     draw_ms_ = static_cast<double>(bus::now_ns() - begin_ns) / 1e6;
   }
   ages_.drawn(scene,
@@ -251,7 +228,9 @@ void Viewer::answer_probes() {
   ++compared_;
   if (!options_->out.empty()) {
     write_picture(fmt::format("probe_{}_viewer.png", probe->probe_id), picture);
-    write_picture(fmt::format("probe_{}_alpha.png", probe->probe_id), painter_->alpha(probe->camera, probe->scene));
+    if (options_->probe_alpha) {
+      write_picture(fmt::format("probe_{}_alpha.png", probe->probe_id), painter_->alpha(probe->camera, probe->scene));
+    }
   }
   receiver_.send_quality(probe->probe_id, last_quality_, first_picture_ns_);
 }

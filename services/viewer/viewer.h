@@ -14,36 +14,14 @@
 #include "bus/parameters.h"
 #include "stream/playout.h"
 #include "viewer/camera_path.h"
+#include "viewer/options.h"
 #include "viewer/painter.h"
 #include "viewer/picture_age.h"
 #include "viewer/stream_receiver.h"
 #include "viewer/window.h"
+#include "viewer/window_stream.h"
 
 namespace splatbus::viewer {
-
-/// The viewer's parameters.
-struct Options {
-  std::string endpoint;
-  std::string key, server_key, token, ca;
-  double fps = 30;
-  int threads = 0;
-  std::string out;
-  std::uint64_t frames = 0;
-  bool probe = false;
-  double probe_period_s = 5;
-  bool window = false;
-  bool opengl = false;
-  gl::Draw draw = gl::Draw::Auto;
-  std::size_t max_gaussians = stream::kMaxGaussians;
-  double max_kbps = 0;
-  std::string record_file, packet_log;
-  PathOptions path;
-
-  void bind(bus::ParameterBinder& parameters);
-  /// A window's pictures are drawn in its context, unless they are to be compared with the engine's, under whose light
-  /// only a rasteriser draws.
-  [[nodiscard]] bool draws_through_opengl() const { return (window || opengl) && !probe; }
-};
 
 /// What surrounds a viewer: a service on the bus, or a program of its own on another machine.
 struct ViewerHost {
@@ -77,6 +55,8 @@ class Viewer {
   /// False when there is nothing new to show.
   bool show(bool changed);
   void frame_all();
+  /// What the window's menu asks for; true when it is another picture.
+  bool serve_window();
   /// Takes over parameters that have changed.
   void refresh_options();
   void answer_probes();
@@ -100,8 +80,9 @@ class Viewer {
   Camera camera_;
   std::unique_ptr<Window> window_;
   std::unique_ptr<Painter> painter_;  // in the window's context
+  std::optional<WindowStream> window_stream_;
   std::int64_t begin_ns_, first_picture_ns_ = 0, next_probe_ns_ = 0, last_report_ns_ = 0;
-  std::int64_t drawn_ns_ = 0;
+  std::int64_t drawn_ns_ = 0, scene_arrived_ns_ = 0;
   std::uint64_t frames_ = 0, next_probe_id_, compared_ = 0, unwritten_ = 0;
   bus::LogLimiter log_limiter_;
   metrics::Quality last_quality_;

@@ -27,6 +27,7 @@
 #include "stream/layout.h"
 #include "stream/web_message.h"
 #include "viewer/packet_link.h"
+#include "viewer/round_trip.h"
 #include "viewer/web_address.h"
 #include "web/connection.h"
 
@@ -111,6 +112,7 @@ class WebLink final : public PacketLink {
     news_.cancel();
   }
 
+  std::optional<double> round_trip_ms() const override { return open_ ? tcp_round_trip_ms(descriptor_) : std::nullopt; }
   bool take_opened() override { return std::exchange(opened_, false); }
   std::optional<std::string> take_notice() override { return std::exchange(notice_, std::nullopt); }
 
@@ -166,6 +168,7 @@ class WebLink final : public PacketLink {
     }
     WebSocket& socket = *greeted;
     said_.clear();
+    descriptor_ = beast::get_lowest_layer(socket).socket().native_handle();
     open_ = opened_ = true;
     reading_ = true;
     asio::co_spawn(io_, read(socket), asio::detached);
@@ -274,7 +277,7 @@ class WebLink final : public PacketLink {
   asio::ssl::context tls_;
   bool open_ = false, opened_ = false, reading_ = false, heard_ = false, ending_ = false;
   bool woken_ = false, watching_ = false;
-  int watched_ = -1;
+  int watched_ = -1, descriptor_ = -1;
   std::optional<std::string> notice_;
   std::string said_, taken_;
   std::deque<std::string> messages_, unsent_;

@@ -5,27 +5,27 @@
 #include <GLFW/glfw3.h>
 #include <fmt/format.h>
 
-#include <algorithm>
 #include <array>
-#include <cmath>
 #include <cstdlib>
-#include <optional>
+#include <exception>
 #include <utility>
 
 #include "bus/clock.h"
 #include "bus/error.h"
 #include "gaussians/player.h"
-#include "viewer/rig.h"
+#include "metrics/image_io.h"
+#include "viewer/steering.h"
+#include "viewer/ui/kept_picture.h"
+#include "viewer/ui/panels.h"
+#include "viewer/ui/saved_file.h"
+#include "viewer/ui/texts.h"
 
 namespace splatbus::viewer {
 
 namespace {
 
-constexpr float kRadiansAPixel = 0.006F;
-constexpr float kZoomANotch = 0.9F;
-constexpr float kZoomASecond = 2.5F;
-constexpr float kTurnASecond = 1.2F;  // radians
-constexpr float kLongestStep_s = 0.1F;
+// A picture that came so recently has the next one soon, and the panels with it.
+constexpr std::int64_t kRestsNs = 30'000'000;
 
 std::string glfw_reason() {
   const char* text = nullptr;
@@ -38,47 +38,80 @@ std::string glfw_reason() {
 struct Window::Impl {
   GLFWwindow* window = nullptr;
   GLuint texture = 0, framebuffer = 0;
-  Rig rig;
-  float vertical_fov;
-  double x = 0, y = 0;
-  std::int64_t moved_ns = bus::now_ns();
-  bool frame_all = false;
-  std::optional<RigPose> followed;  ///< where the player's camera was last
-  std::array<int, 4> windowed{};    // x, y, width, height before it was full screen
+  Steering steering;
+  std::optional<Panels> panels;  // these two in the window's context
+  std::optional<KeptPicture> kept;
+  std::string folder;
+  bool frame_all = false, settings_changed = false;
+  std::optional<std::string> save;
+  std::int64_t swapped_ns = 0;
+  std::array<int, 4> windowed{};  // x, y, width, height before it was full screen
 
-  explicit Impl(const Camera& camera)
-      : rig(RigPose::of(camera)), vertical_fov(2 * std::atan(static_cast<float>(camera.height) / (2 * camera.fy))) {}
+  explicit Impl(const Camera& camera) : steering(camera) {}
 
-  [[nodiscard]] bool button(int which) const { return glfwGetMouseButton(window, which) == GLFW_PRESS; }
-  [[nodiscard]] bool held(int key) const { return glfwGetKey(window, key) == GLFW_PRESS; }
-  [[nodiscard]] float axis(int more, int less) const {
-    return static_cast<float>(held(more)) - static_cast<float>(held(less));
-  }
-  [[nodiscard]] bool shift() const { return held(GLFW_KEY_LEFT_SHIFT) || held(GLFW_KEY_RIGHT_SHIFT); }
-
-  void pointer(double to_x, double to_y) {
-    const auto dx = static_cast<float>(to_x - x), dy = static_cast<float>(to_y - y);
-    x = to_x;
-    y = to_y;
-    const bool left = button(GLFW_MOUSE_BUTTON_LEFT);
-    if (button(GLFW_MOUSE_BUTTON_RIGHT) || button(GLFW_MOUSE_BUTTON_MIDDLE) || (left && shift())) {
-      int width = 0, height = 0;
-      glfwGetWindowSize(window, &width, &height);
-      rig.pan(dx, dy, static_cast<float>(std::max(height, 1)) / (2 * std::tan(vertical_fov / 2)));
-    } else if (left) {
-      rig.orbit(dx * kRadiansAPixel, dy * kRadiansAPixel);
-    }
+  [[nodiscard]] std::pair<int, int> size() const {
+    int width = 0, height = 0;
+    glfwGetFramebufferSize(window, &width, &height);
+    return {width, height};
   }
 
   void key(int which) {
-    if (which == GLFW_KEY_F) frame_all = true;
-    if (which == GLFW_KEY_G) followed = followed ? std::nullopt : std::optional(rig.goal());
-    if (which == GLFW_KEY_V || which == GLFW_KEY_F11) toggle_full_screen();
-    if (which != GLFW_KEY_ESCAPE) return;
+    if (which == GLFW_KEY_F) act(Action::FrameAll);
+    if (which == GLFW_KEY_G) act(Action::Follow);
+    if (which == GLFW_KEY_I) act(Action::Figures);
+    if (which == GLFW_KEY_M) panels->toggle_menu();
+    if (which == GLFW_KEY_P) act(Action::Snapshot);
+    if (which == GLFW_KEY_V || which == GLFW_KEY_F11) act(Action::FullScreen);
+    if (which != GLFW_KEY_ESCAPE || panels->close()) return;
     if (glfwGetWindowMonitor(window)) {
       toggle_full_screen();
     } else {
       glfwSetWindowShouldClose(window, GLFW_TRUE);
+    }
+  }
+
+  void act(Action action) {
+    switch (action) {
+      case Action::FrameAll:
+        frame_all = true;
+        break;
+      case Action::FullScreen:
+        toggle_full_screen();
+        break;
+      case Action::Snapshot:
+        save_picture();
+        break;
+      case Action::Figures:
+        panels->toggle_figures();
+        break;
+      case Action::Follow:
+        steering.toggle_follow();
+        if (steering.following()) panels->say(panels->content.player ? texts::kFollowing : texts::kNoPlayer);
+        break;
+      case Action::SavePly:
+        save = ".ply";
+        break;
+      case Action::SaveGlb:
+        save = ".glb";
+        break;
+      case Action::SaveSpz:
+        save = ".spz";
+        break;
+      case Action::Close:
+        panels->toggle_menu();
+        break;
+    }
+  }
+
+  void save_picture() {
+    const cv::Mat picture = kept->read();
+    if (picture.empty()) return panels->say(texts::kNoPicture);
+    try {
+      const std::string path = new_file(folder, ".png");
+      metrics::write_png(path, picture);
+      panels->say(path);
+    } catch (const std::exception& error) {
+      panels->say(error.what());
     }
   }
 
@@ -96,23 +129,50 @@ struct Window::Impl {
     glfwSetWindowMonitor(window, monitor, 0, 0, mode->width, mode->height, mode->refreshRate);
   }
 
-  void advance() {
-    const std::int64_t now_ns = bus::now_ns();
-    const float seconds = static_cast<float>(now_ns - std::exchange(moved_ns, now_ns)) / 1e9F;
-    const float step_s = std::min(seconds, kLongestStep_s);
-    const RigMotion motion{.right = axis(GLFW_KEY_D, GLFW_KEY_A),
-                           .up = axis(GLFW_KEY_E, GLFW_KEY_Q),
-                           .ahead = axis(GLFW_KEY_W, GLFW_KEY_S),
-                           .fast = shift()};
-    if (motion.right != 0 || motion.up != 0 || motion.ahead != 0) rig.fly(motion, step_s);
-    const float turn = kTurnASecond * step_s;
-    const float right = axis(GLFW_KEY_RIGHT, GLFW_KEY_LEFT), up = axis(GLFW_KEY_UP, GLFW_KEY_DOWN);
-    if (right != 0 || up != 0) rig.look(right * turn, -up * turn);
-    const float nearer = axis(GLFW_KEY_EQUAL, GLFW_KEY_MINUS) + axis(GLFW_KEY_KP_ADD, GLFW_KEY_KP_SUBTRACT);
-    if (nearer != 0) rig.zoom(std::pow(kZoomASecond, -nearer * step_s));
-    rig.advance(seconds);
+  /// Framebuffer 0 has the picture.
+  void present(bool new_picture) {
+    panels->content.following = steering.following();
+    panels->content.full_screen = glfwGetWindowMonitor(window) != nullptr;
+    const Settings before = panels->content.settings;
+    const std::vector<Action> actions = panels->draw(new_picture);
+    settings_changed = settings_changed || !(panels->content.settings == before);
+    glfwSwapBuffers(window);
+    swapped_ns = bus::now_ns();
+    for (const Action action : actions) act(action);
   }
+
+  void redraw_panels() {
+    if (!panels->due() || bus::now_ns() - swapped_ns < kRestsNs) return;
+    const auto [width, height] = size();
+    kept->restore(width, height);
+    present(false);
+  }
+
+  void listen();
 };
+
+void Window::Impl::listen() {
+  const auto of = [](GLFWwindow* of_window) { return static_cast<Impl*>(glfwGetWindowUserPointer(of_window)); };
+  static constexpr auto kOf = of;
+  glfwSetWindowUserPointer(window, this);
+  glfwSetCursorPosCallback(window, [](GLFWwindow* in, double x, double y) {
+    kOf(in)->steering.pointer(x, y);
+    kOf(in)->panels->touch();
+  });
+  glfwSetMouseButtonCallback(window, [](GLFWwindow* in, int, int action, int) {
+    if (action == GLFW_PRESS) kOf(in)->steering.press(!kOf(in)->panels->wants_mouse());
+    kOf(in)->panels->touch();
+  });
+  glfwSetScrollCallback(window, [](GLFWwindow* in, double, double notches) {
+    if (!kOf(in)->panels->wants_mouse()) kOf(in)->steering.scroll(notches);
+    kOf(in)->panels->touch();
+  });
+  panels.emplace(window);
+  glfwSetKeyCallback(window, [](GLFWwindow* in, int key, int scancode, int action, int mods) {
+    kOf(in)->panels->key(key, scancode, action, mods);
+    if (action == GLFW_PRESS) kOf(in)->key(key);
+  });
+}
 
 Window::Window(const Camera& camera, const std::string& title, For what) : impl_(std::make_unique<Impl>(camera)) {
   if (!std::getenv("DISPLAY") && !std::getenv("WAYLAND_DISPLAY")) {
@@ -134,33 +194,29 @@ Window::Window(const Camera& camera, const std::string& title, For what) : impl_
   }
   glfwMakeContextCurrent(impl_->window);
   glfwSwapInterval(splats ? 1 : 0);
-  glfwSetWindowUserPointer(impl_->window, impl_.get());
-  glfwSetCursorPosCallback(impl_->window, [](GLFWwindow* window, double x, double y) {
-    static_cast<Impl*>(glfwGetWindowUserPointer(window))->pointer(x, y);
-  });
-  glfwSetScrollCallback(impl_->window, [](GLFWwindow* window, double, double notches) {
-    static_cast<Impl*>(glfwGetWindowUserPointer(window))->rig.zoom(std::pow(kZoomANotch, static_cast<float>(notches)));
-  });
-  glfwSetKeyCallback(impl_->window, [](GLFWwindow* window, int key, int, int action, int) {
-    if (action == GLFW_PRESS) static_cast<Impl*>(glfwGetWindowUserPointer(window))->key(key);
-  });
   glGenTextures(1, &impl_->texture);
   glGenFramebuffers(1, &impl_->framebuffer);
+  impl_->steering.attach(impl_->window);
+  impl_->kept.emplace();
+  impl_->listen();
 }
 
 Window::~Window() {
+  impl_->kept.reset();
+  impl_->panels.reset();
   glfwDestroyWindow(impl_->window);
   glfwTerminate();
 }
 
 void Window::poll_events() {
   glfwPollEvents();
-  impl_->advance();
+  impl_->steering.advance(!impl_->panels->wants_keyboard());
+  impl_->redraw_panels();
 }
 
 void Window::wait_events(std::chrono::milliseconds most) {
   glfwWaitEventsTimeout(std::chrono::duration<double>(most).count());
-  impl_->moved_ns = bus::now_ns();  // a key moves from when it was pressed
+  impl_->steering.rest();
 }
 
 bool Window::closed() const {
@@ -168,10 +224,8 @@ bool Window::closed() const {
 }
 
 Camera Window::camera() const {
-  int width = 0, height = 0;
-  glfwGetFramebufferSize(impl_->window, &width, &height);
-  return impl_->rig.camera(static_cast<std::uint32_t>(std::max(width, 8)),
-                           static_cast<std::uint32_t>(std::max(height, 8)), impl_->vertical_fov);
+  const auto [width, height] = impl_->size();
+  return impl_->steering.camera(width, height);
 }
 
 bool Window::take_frame_all() {
@@ -179,25 +233,16 @@ bool Window::take_frame_all() {
 }
 
 void Window::frame(const glm::vec3& centre_m, float radius_m) {
-  const Camera now = camera();
-  const auto least = static_cast<float>(std::min(now.width, now.height));
-  impl_->rig.frame(centre_m, radius_m, 2 * std::atan(least / (2 * now.fy)));
+  impl_->steering.frame(centre_m, radius_m, camera());
 }
 
 void Window::follow(const SceneState& scene) {
-  const auto player = scene.objects.find(kPlayerId);
-  if (!impl_->followed || player == scene.objects.end()) return;
-  if (!(impl_->rig.goal() == *impl_->followed)) {  // somebody steers
-    impl_->followed.reset();
-    return;
-  }
-  impl_->rig.jump(RigPose::of({.world_from_camera = player->second.rigid}));
-  impl_->followed = impl_->rig.goal();
+  impl_->panels->content.player = scene.objects.contains(kPlayerId);
+  impl_->steering.follow(scene);
 }
 
 void Window::show(const cv::Mat& picture) {
-  int width = 0, height = 0;
-  glfwGetFramebufferSize(impl_->window, &width, &height);
+  const auto [width, height] = impl_->size();
   glBindTexture(GL_TEXTURE_2D, impl_->texture);
   glPixelStorei(GL_UNPACK_ALIGNMENT, 1);
   glTexImage2D(GL_TEXTURE_2D, 0, GL_RGB8, picture.cols, picture.rows, 0, GL_BGR, GL_UNSIGNED_BYTE, picture.data);
@@ -209,7 +254,47 @@ void Window::show(const cv::Mat& picture) {
 }
 
 void Window::swap() {
-  glfwSwapBuffers(impl_->window);
+  const auto [width, height] = impl_->size();
+  impl_->kept->keep(width, height);
+  impl_->present(true);
+}
+
+const Settings& Window::settings() const {
+  return impl_->panels->content.settings;
+}
+
+bool Window::take_settings_changed() {
+  return std::exchange(impl_->settings_changed, false);
+}
+
+void Window::offer_stream(std::size_t max_gaussians, std::uint32_t max_kbps) {
+  impl_->panels->content.streams = true;
+  impl_->panels->content.settings.max_gaussians = max_gaussians;
+  impl_->panels->content.settings.max_kbps = max_kbps;
+}
+
+std::optional<std::string> Window::take_save() {
+  return std::exchange(impl_->save, std::nullopt);
+}
+
+void Window::save_in(const std::string& folder) {
+  impl_->folder = folder;
+}
+
+void Window::set_figures(const Figures& figures) {
+  impl_->panels->set_figures(figures);
+}
+
+bool Window::shows_figures() const {
+  return impl_->panels->shows_figures();
+}
+
+void Window::say(const std::string& text) {
+  impl_->panels->say(text);
+}
+
+void Window::keep_saying(const std::string& text) {
+  impl_->panels->keep_saying(text);
 }
 
 }  // namespace splatbus::viewer

@@ -3,17 +3,21 @@
 #include <chrono>
 #include <memory>
 #include <opencv2/core.hpp>
+#include <optional>
 #include <string>
 
 #include "gaussians/camera.h"
 #include "gaussians/light.h"
+#include "viewer/ui/figures.h"
+#include "viewer/ui/settings.h"
 
 namespace splatbus::viewer {
 
 /// A GLFW window with a camera that a person steers, as the page's. Left button: about the target; another one, or
 /// Shift: along the picture. Wheel, + and -: nearer or farther. W A S D Q E: move, with Shift faster. Arrows: look
-/// about. F: all is framed. G: goes along with the engine's player. V or F11: full screen. Escape: leaves that, or
-/// closes. Its OpenGL context is current on the thread that made it. Main thread only; one a process.
+/// about. F: all is framed. G: goes along with the engine's player. V or F11: full screen. P: the picture is saved. I:
+/// figures, M: menu, where the build has Dear ImGui. Escape: closes the menu, leaves full screen, or closes. Its OpenGL
+/// context is current on the thread that made it. Main thread only; one a process.
 class Window {
  public:
   enum class For { Pictures, Splats };
@@ -26,7 +30,7 @@ class Window {
   Window(const Window&) = delete;
   Window& operator=(const Window&) = delete;
 
-  /// Takes what the person did, and moves the camera on to now.
+  /// Takes what the person did, and moves the camera on to now. Draws figures and menu anew over a picture that rests.
   void poll_events();
   /// Waits for something that the person does, at most so long; for a camera that rests.
   void wait_events(std::chrono::milliseconds most);
@@ -42,6 +46,23 @@ class Window {
   void frame(const glm::vec3& centre_m, float radius_m);
   /// Goes where the camera of the scene's player is, once the person has asked for it and until they steer again.
   void follow(const SceneState& scene);
+
+  /// As chosen in the menu; what Painter and who streams follow.
+  [[nodiscard]] const Settings& settings() const;
+  /// Whether another picture was chosen since.
+  [[nodiscard]] bool take_settings_changed();
+  /// The menu has budgets from now on, which begin as these, and offers to save the model.
+  void offer_stream(std::size_t max_gaussians, std::uint32_t max_kbps);
+  /// The end of the file's name, ".ply", once after the person asked for the model.
+  [[nodiscard]] std::optional<std::string> take_save();
+  /// Where pictures are saved; empty: in the current folder.
+  void save_in(const std::string& folder);
+
+  void set_figures(const Figures& figures);
+  [[nodiscard]] bool shows_figures() const;
+  /// A line, for a few seconds; as long as there is none.
+  void say(const std::string& text);
+  void keep_saying(const std::string& text);
 
  private:
   struct Impl;

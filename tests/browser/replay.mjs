@@ -91,6 +91,8 @@ function compareRows() {
     viewer.receive(message);
     take();
   }
+  const stats = new Float64Array(wasm.memory.buffer, wasm.stats_ptr(viewer.session), 17);
+  assert.ok(stats[16] > 0 && stats[16] === stats[13], 'colors are of the scene');
   assert.equal(memory.length, expected.length);
   let shown = 0;
   for (let at = 0; at < memory.length; at += kRecordBytes) {

@@ -48,7 +48,7 @@ export class Extras {
     const { scene } = this.stage;
     const then = scene.transforms.slice(); // with objects that have come since
     then.set(transforms.subarray(0, then.length));
-    return { view, scene: { ...scene, transforms: then }, resolution: 1, timeS: performance.now() / 1000 };
+    return { view, scene: { ...scene, transforms: then }, resolution: 1, timeS: performance.now() / 1000, colorPart: 1 };
   }
 
   async compare(): Promise<void> {

@@ -54,6 +54,8 @@ export interface Scene {
 export interface SceneTime {
   readonly captureMs: number;
   readonly arrivedMs: number;
+  /** When it was that colors show, as captureMs: shadows come later than the scene that they are of. */
+  readonly colorsMs: number;
 }
 
 export const kNoScene: Scene = { transforms: new Float32Array(0), farField: 0, player: 0, background: [0, 0, 0], displaySpace: false };

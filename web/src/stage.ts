@@ -1,4 +1,5 @@
 import { Backoff } from './backoff';
+import { ColorPlayout } from './motion/color_playout';
 import { Playout } from './motion/playout';
 import { makeRenderer, type Api } from './render/make_renderer';
 import { kNoScene, type Scene } from './records';
@@ -35,6 +36,7 @@ export class Stage {
   #stillAt = 0;
   #changedMs = -Infinity;
   readonly #playout = new Playout();
+  readonly #colors = new ColorPlayout();
   /** A picture has been shown. */
   standing = false;
   scene: Scene = kNoScene;
@@ -74,6 +76,7 @@ export class Stage {
     canvas.hidden = true;
     this.element.append(canvas);
     this.#renderer = renderer;
+    this.#colors.restart(0);
     this.#fed = false;
     this.say('found');
     void renderer.lost.then((reason) => {
@@ -152,17 +155,25 @@ export class Stage {
     this.#sorter.postMessage(message);
   }
 
-  /** Takes what has come for the next frame; true if there was something. */
+  /** Takes what has come for the next frame, and colors of which the time has come; true if there was something. */
   take(nowMs: number): boolean {
     const renderer = this.#renderer;
-    if (!renderer || (this.#batches.length === 0 && !this.#order)) return false;
-    for (const batch of this.#batches) {
-      if (batch.whole) renderer.clear();
-      if (batch.update.rows.length > 0) this.#changedMs = nowMs;
-      renderer.apply(batch.update);
-      renderer.recolor(batch.colors);
-      this.scene = batch.scene;
-      this.#playout.add(batch.scene, batch.time);
+    if (!renderer) return false;
+    const came = this.#takeBatches(renderer, nowMs);
+    return this.#colors.advance(this.#playout.timeAt(nowMs), renderer) || came;
+  }
+
+  #takeBatches(renderer: Renderer, nowMs: number): boolean {
+    if (this.#batches.length === 0 && !this.#order) return false;
+    for (const { whole, update, colors, scene, time } of this.#batches) {
+      if (whole) renderer.clear();
+      if (whole) this.#colors.restart(time.colorsMs);
+      if (update.rows.length > 0) this.#changedMs = nowMs;
+      renderer.apply(update);
+      this.#colors.wrote(update.rows);
+      this.#colors.add(colors, time.colorsMs, time.captureMs);
+      this.scene = scene;
+      this.#playout.add(scene, time);
     }
     this.taken(this.#batches.length);
     if (this.#batches.length > 0) this.#fed = true;
@@ -178,9 +189,13 @@ export class Stage {
     const played = this.#playout.at(nowMs);
     return played ? { ...this.scene, transforms: played.transforms, background: played.background } : this.scene;
   }
-  /** Rows still fade, or an object is on its way to where it was last. */
+  /** Of the last take(), as Frame has it. */
+  get colorPart(): number {
+    return this.#colors.part;
+  }
+  /** Rows still fade, or an object or a color is on its way to what it was last. */
   movingAt(nowMs: number): boolean {
-    return nowMs - this.#changedMs < 1000 * kFadeS || this.#playout.movingAt(nowMs);
+    return nowMs - this.#changedMs < 1000 * kFadeS || this.#playout.movingAt(nowMs) || this.#colors.moving;
   }
 
   /** What the splats look like, at this moment, in memory. */

@@ -219,6 +219,7 @@ export class Viewer {
       scene: background === 'scene' ? scene : { ...scene, background: kBackgrounds[background] },
       resolution,
       timeS: nowMs / 1000,
+      colorPart: this.stage.colorPart,
     };
   }
 

@@ -5,6 +5,7 @@ export { flip } from '../src/compare/flip';
 export { ssim } from '../src/compare/ssim';
 export { viewOfEye, xrFromWorld } from '../src/xr/xr_view';
 export { randomNumbers } from './page/synthetic_scene';
+export { ColorPlayout } from '../src/motion/color_playout';
 export { Playout } from '../src/motion/playout';
 export { Pace, Rate } from '../src/pace';
 export { Publisher } from '../src/stream/publisher';

@@ -57,6 +57,13 @@ for (const api of ['webgl2', 'webgpu']) {
       assert.ok(display >= 45, `PSNR ${display} in display space`);
     });
 
+    test('between two scenes colors are between those that were shaded for them', async () => {
+      for (const { shownMs, psnr, bytes, due } of await page.evaluate((name) => window.tests.played(name), api)) {
+        assert.ok(psnr >= kLeastPsnr, `PSNR ${psnr} at ${shownMs} ms`);
+        assert.equal(bytes, due, `bytes until ${shownMs} ms`);
+      }
+    });
+
     test('of those at one depth later rows are in front', async () => {
       const psnr = await page.evaluate((name) => window.tests.equalDepths(name), api);
       assert.ok(psnr >= kLeastPsnr, `PSNR ${psnr}`);

@@ -14,6 +14,7 @@
 
 #include "gaussians/depth_order.h"
 #include "stream/bytes.h"
+#include "stream/color_times.h"
 #include "stream/follower.h"
 #include "stream/gpu_rows.h"
 #include "stream/held_hash.h"
@@ -58,6 +59,8 @@ std::optional<Camera> camera_of(const float* pose) {
 struct Held {
   stream::Follower follower;
   stream::GpuRows rows;
+  stream::ColorTimes color_times;
+  std::int64_t colors_ns = 0;
 
   Held(const stream::FollowerOptions& options, std::int64_t now_ns)
       : follower(options, now_ns), rows(follower.replica()) {}
@@ -138,6 +141,7 @@ int32_t receive(Session* session, const uint8_t* message, uint32_t bytes, double
     const std::span<const std::uint8_t> rest(message + kLengthBytes, bytes - kLengthBytes);
     const stream::SceneInstant before = follower.replica().scene_instant();
     follower.receive(rest.first(length), rest.subspan(length), ns_of(now_ms));
+    session->held->color_times.see(follower.replica());
     if (follower.replica().scene_instant() != before) session->scene_arrived_ms = now_ms;
     return kReceived;
   } catch (const std::bad_alloc&) {
@@ -237,7 +241,9 @@ const uint32_t* changed_harmonics_ptr(const Session* session) {
 }
 
 uint32_t take_colors(Session* session, uint32_t max_rows) {
-  session->held->rows.take_colors(max_rows, session->changed_rows, session->changed_colors);
+  Held& held = *session->held;
+  held.rows.take_colors(max_rows, session->changed_rows, session->changed_colors);
+  held.colors_ns = held.color_times.taken(held.follower.replica(), session->changed_rows.size() == max_rows);
   return static_cast<std::uint32_t>(session->changed_rows.size());
 }
 
@@ -299,7 +305,8 @@ const double* stats_ptr(Session* session) {
                     number(replica.scene_instant().frame),
                     number(replica.scene_instant().capture_ns) / kNsAMs,
                     session->scene_arrived_ms,
-                    number(replica.layout().appearance == Appearance::Radiance)};
+                    number(replica.layout().appearance == Appearance::Radiance),
+                    number(session->held->colors_ns) / kNsAMs};
   return session->stats.data();
 }
 

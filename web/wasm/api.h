@@ -132,6 +132,7 @@ enum Stat : uint32_t {
   kStatSceneCaptureMs,  ///< of the engine's clock; 0: unknown
   kStatSceneArrivedMs,  ///< of the page's clock
   kStatRadiance,        ///< 1: colours are in display space and are blended there
+  kStatColorsMs,        ///< the instant of the scene that the colours last taken show, as kStatSceneCaptureMs
   kStats
 };
 SPLATBUS_EXPORT const double* stats_ptr(Session* session);

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstdint>
 #include <memory>
 #include <optional>
 #include <vector>
@@ -19,6 +20,8 @@ struct Batch {
   bool whole = false;  ///< all rows before are gone
   RowUpdate update;
   ColorUpdate colors;
+  /// When that was which the colors show, and the newest scene, by the engine's clock; 0: nobody knows.
+  std::int64_t colors_ns = 0, scene_ns = 0;
   std::vector<std::uint32_t> object_ids;  ///< by the index that records have; the first is the world
   bool display_space = false;             ///< of the colors
   std::optional<Bounds> bounds;

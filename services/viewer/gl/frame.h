@@ -21,7 +21,9 @@ struct Frame {
   glm::vec3 background{0};      ///< linear
   bool display_space = false;   ///< colors are blended under the sRGB curve
   bool antialias = true;        ///< what is smaller than a pixel becomes as much fainter as it is made larger
+  float resolution = 1;         ///< of the splats, of the picture's along each side; it is stretched over it
   float time_s = kSettled_s;    ///< by the clock of RowUpdate::fades
+  float color_part = 1;         ///< from the colors that RowStore has kept to those that there are
 };
 
 }  // namespace splatbus::viewer::gl

@@ -91,7 +91,7 @@ void Projection::run(const RowStore& rows, const Frame& frame, FrameTimer& timer
 void Projection::project(const RowStore& rows, const Frame& frame) {
   const Camera& camera = frame.camera;
   bind_buffers({rows.records(), rows.fades(), rows.harmonics(), objects_.get(), splats_.get(), keys_.get(),
-                group_counts_.get()});
+                group_counts_.get(), rows.kept()});
   glUseProgram(project_.get());
   glUniform1ui(kRows, static_cast<GLuint>(rows.used()));
   glUniform4f(kPinhole, camera.fx, camera.fy, camera.cx, camera.cy);
@@ -101,6 +101,7 @@ void Projection::project(const RowStore& rows, const Frame& frame) {
   glUniform1f(kTime, frame.time_s);
   glUniform1i(kAntialias, frame.antialias ? GL_TRUE : GL_FALSE);
   glUniform1ui(kHarmonicWords, static_cast<GLuint>(rows.harmonic_words()));
+  glUniform1f(kColorPart, frame.color_part);
   glUniform1f(kNear, std::max(camera.near_m, 0.0F));
   if (rows.used() > 0) glDispatchCompute(groups_of(rows.used(), kThreads), 1, 1);
   next_step();

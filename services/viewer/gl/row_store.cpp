@@ -36,6 +36,7 @@ void upload(const GlBuffer& buffer, std::span<const std::byte> bytes) {
 
 RowStore::RowStore()
     : scatter_(make_compute_program(kScatterText)),
+      keep_(make_compute_program(kKeepText)),
       harmonics_(zeroed_buffer(sizeof(std::uint32_t))),
       changed_rows_(make_buffer()),
       changed_(make_buffer()) {
@@ -47,6 +48,7 @@ void RowStore::reserve(std::size_t rows) {
   const std::size_t before = std::exchange(capacity_, std::max({rows, 2 * capacity_, kLeastRows}));
   grow(records_, before * sizeof(stream::GpuRecord), capacity_ * sizeof(stream::GpuRecord));
   grow(fades_, before * sizeof(float), capacity_ * sizeof(float));
+  grow(kept_, before * sizeof(std::uint32_t), capacity_ * sizeof(std::uint32_t));
   const std::size_t row_bytes = harmonic_words_ * sizeof(std::uint32_t);
   if (row_bytes > 0) grow(harmonics_, before * row_bytes, capacity_ * row_bytes);
 }
@@ -64,6 +66,7 @@ void RowStore::apply(const RowUpdate& update) {
   used_ = std::max(used_, rows);
   name_changed(update.rows);
   scatter(records_, std::as_bytes(std::span(update.records)), kRecordWords, kRecordWords, 0);
+  keep(update.rows.size(), true);
   scatter(fades_, std::as_bytes(std::span(update.fades)), 1, 1, 0);
   const std::size_t words = update.harmonic_words;
   if (words > 0) scatter(harmonics_, std::as_bytes(std::span(update.harmonics)), words, words, 0);
@@ -75,6 +78,20 @@ void RowStore::recolor(const ColorUpdate& update) {
   name_changed(update.rows);
   scatter(records_, std::as_bytes(std::span(update.colors)), 1, kRecordWords, kColorWord);
   uploaded_.rows += update.rows.size();
+}
+
+void RowStore::keep_colors() {
+  keep(used_, false);
+}
+
+void RowStore::keep(std::size_t rows, bool of_changed) {
+  const std::array<GLuint, 3> buffers{changed_rows_.get(), records_.get(), kept_.get()};
+  glBindBuffersBase(GL_SHADER_STORAGE_BUFFER, 0, static_cast<GLsizei>(buffers.size()), buffers.data());
+  glUseProgram(keep_.get());
+  glUniform1ui(kKeepRows, static_cast<GLuint>(rows));
+  glUniform1i(kKeepChanged, of_changed ? GL_TRUE : GL_FALSE);
+  if (rows > 0) glDispatchCompute(static_cast<GLuint>((rows + kThreads - 1) / kThreads), 1, 1);
+  glMemoryBarrier(GL_SHADER_STORAGE_BARRIER_BIT | GL_BUFFER_UPDATE_BARRIER_BIT);
 }
 
 void RowStore::name_changed(std::span<const std::uint32_t> rows) {

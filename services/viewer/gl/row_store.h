@@ -18,8 +18,11 @@ class RowStore {
 
   RowStore();
 
+  /// Its colors are those to keep as well.
   void apply(const RowUpdate& update);
   void recolor(const ColorUpdate& update);
+  /// The colors that there are become those from which Frame::color_part goes; nothing is uploaded.
+  void keep_colors();
   /// Every row is free again.
   void clear();
 
@@ -31,6 +34,7 @@ class RowStore {
 
   [[nodiscard]] GLuint records() const { return records_.get(); }      ///< uvec4[2] a row: GpuRecord
   [[nodiscard]] GLuint fades() const { return fades_.get(); }          ///< float a row
+  [[nodiscard]] GLuint kept() const { return kept_.get(); }            ///< uint a row: colors as they were
   [[nodiscard]] GLuint harmonics() const { return harmonics_.get(); }  ///< uint[harmonic_words()] a row
 
  private:
@@ -41,8 +45,11 @@ class RowStore {
   void scatter(const GlBuffer& store, std::span<const std::byte> contents, std::size_t words, std::size_t stride,
                std::size_t first);
 
-  GlProgram scatter_;
-  GlBuffer records_, fades_, harmonics_;
+  /// Of the first `rows` that name_changed() had, or of all.
+  void keep(std::size_t rows, bool of_changed);
+
+  GlProgram scatter_, keep_;
+  GlBuffer records_, fades_, kept_, harmonics_;
   GlBuffer changed_rows_, changed_;
   std::size_t capacity_ = 0, used_ = 0, harmonic_words_ = 0;
   Uploaded uploaded_;

@@ -16,6 +16,21 @@ void main() {
 }
 )glsl";
 
+const char* const kKeepText = R"glsl(#version 450 core
+layout(local_size_x = 256) in;
+layout(std430, binding = 0) readonly buffer ChangedRows { uint changed_rows[]; };
+layout(std430, binding = 1) readonly buffer Records { uvec4 records[]; };
+layout(std430, binding = 2) writeonly buffer Kept { uint kept[]; };
+layout(location = 0) uniform uint uRows;
+layout(location = 1) uniform bool uChanged;
+void main() {
+  uint i = gl_GlobalInvocationID.x;
+  if (i >= uRows) return;
+  uint row = uChanged ? changed_rows[i] : i;
+  kept[row] = records[2u * row + 1u].w;
+}
+)glsl";
+
 const char* const kProjectText = R"glsl(#version 450 core
 layout(local_size_x = 256) in;
 layout(std430, binding = 0) readonly buffer Records { uvec4 records[]; };  // mean xyz, log scale xy; log scale z and
@@ -26,6 +41,7 @@ layout(std430, binding = 3) readonly buffer Objects { vec4 objects[]; };  // [3]
 layout(std430, binding = 4) writeonly buffer Splats { uvec4 splats[]; };  // centre, root xy; root z, log2 of alpha, color
 layout(std430, binding = 5) writeonly buffer Keys { uint keys[]; };
 layout(std430, binding = 6) writeonly buffer GroupCounts { uint group_counts[]; };
+layout(std430, binding = 7) readonly buffer Kept { uint kept[]; };  // colors before
 layout(location = 0) uniform uint uRows;
 layout(location = 1) uniform vec4 uPinhole;   // fx, fy, cx, cy
 layout(location = 2) uniform vec2 uSize;
@@ -34,6 +50,7 @@ layout(location = 4) uniform float uTime;
 layout(location = 5) uniform bool uAntialias;
 layout(location = 6) uniform uint uHarmonicWords;  // 0: colors do not depend on where one looks from
 layout(location = 7) uniform float uNear;
+layout(location = 8) uniform float uColorPart;  // from the kept colors to the records'
 
 const float kFade_s = 0.25;
 const uint kUnseen = 0xffffffffu;
@@ -58,6 +75,12 @@ vec3 radianceOf(uint row, vec3 d) {
   return max(sum, 0.0);
 }
 
+vec3 shadeOf(uint row, uint word) {
+  vec3 color = colorOf(word);
+  if (uColorPart < 1.0) color = mix(colorOf(kept[row]), color, uColorPart);
+  return color;
+}
+
 float fadeOf(float since) {
   float part = clamp((uTime - abs(since)) / kFade_s, 0.0, 1.0);
   return since < 0.0 ? 1.0 - part : part;
@@ -79,7 +102,7 @@ uint keyOf(uint row) {
   mat3 w = mat3(w0.xyz, w1.xyz, w2.xyz);
   if (!splatOf(View(uPinhole, uSize, uTangents, uAntialias), geometry, appearance, w, point, opacity, splat)) return kUnseen;
   vec3 color = uHarmonicWords == 0u
-      ? colorOf(appearance.w)
+      ? shadeOf(row, appearance.w)
       : radianceOf(row, normalize(w0.xyz * point.x + w1.xyz * point.y + w2.xyz * point.z));
   splats[2u * row] = floatBitsToUint(vec4(splat.centre, splat.root.xy));
   splats[2u * row + 1u] = uvec4(floatBitsToUint(vec2(splat.root.z, splat.log2Alpha)), packHalf2x16(color.rg),

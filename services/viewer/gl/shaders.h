@@ -16,6 +16,10 @@ inline constexpr float kFade_s = 0.25F;
 extern const char* const kScatterText;
 enum ScatterLocation : int { kScatterBegin = 0, kScatterEnd = 1, kScatterWords = 2 };
 
+/// Keeps the colors of rows: of those that were uploaded last, or of all up to kKeepRows.
+extern const char* const kKeepText;
+enum KeepLocation : int { kKeepRows = 0, kKeepChanged = 1 };
+
 /// Of every row what its quad needs, and a key: nearer is greater; ~0 where nothing can show.
 extern const char* const kProjectText;
 enum ProjectLocation : int {
@@ -26,7 +30,8 @@ enum ProjectLocation : int {
   kTime = 4,
   kAntialias = 5,
   kHarmonicWords = 6,
-  kNear = 7
+  kNear = 7,
+  kColorPart = 8
 };
 
 /// A stable radix sort of the keys of what is seen: equal depths keep the order of rows, so that nothing flickers.

@@ -9,6 +9,7 @@
 
 #include "gl/program.h"
 #include "viewer/gl/shaders.h"
+#include "viewer/scaled.h"
 
 namespace splatbus::viewer::gl {
 namespace {
@@ -22,6 +23,8 @@ GlTexture sized_texture(GLenum format, std::uint32_t width, std::uint32_t height
   glTextureStorage2D(texture.get(), 1, format, static_cast<GLsizei>(width), static_cast<GLsizei>(height));
   glTextureParameteri(texture.get(), GL_TEXTURE_MIN_FILTER, GL_NEAREST);
   glTextureParameteri(texture.get(), GL_TEXTURE_MAG_FILTER, GL_NEAREST);
+  glTextureParameteri(texture.get(), GL_TEXTURE_WRAP_S, GL_CLAMP_TO_EDGE);
+  glTextureParameteri(texture.get(), GL_TEXTURE_WRAP_T, GL_CLAMP_TO_EDGE);
   return texture;
 }
 
@@ -136,7 +139,13 @@ void SplatRenderer::draw_quads(const Camera& camera) {
 void SplatRenderer::draw(const Frame& frame, GLuint framebuffer) {
   require_context();
   look_back();
-  draw_splats(frame);
+  if (frame.resolution == 1) {
+    draw_splats(frame);
+  } else {
+    Frame coarse = frame;
+    coarse.camera = scaled(frame.camera, frame.resolution);
+    draw_splats(coarse);
+  }
   resolve(frame, framebuffer);
   timer_.end();
 }
@@ -146,6 +155,7 @@ void SplatRenderer::resolve(const Frame& frame, GLuint framebuffer) {
   glViewport(0, 0, static_cast<GLsizei>(frame.camera.width), static_cast<GLsizei>(frame.camera.height));
   glDisable(GL_BLEND);
   glUseProgram(resolve_.get());
+  glTextureParameteri(target_.get(), GL_TEXTURE_MAG_FILTER, frame.resolution == 1 ? GL_NEAREST : GL_LINEAR);
   glBindTextureUnit(0, target_.get());
   glm::vec3 background = frame.background;
   if (frame.display_space) background = {srgb(background.x), srgb(background.y), srgb(background.z)};

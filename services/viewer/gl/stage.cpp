@@ -40,10 +40,18 @@ void Stage::add(const Batch& batch) {
   RowStore& rows = renderer_.rows();
   if (batch.whole) rows.clear();
   rows.apply(batch.update);
-  rows.recolor(batch.colors);
+  if (batch.whole) colors_.restart(batch.colors_ns);
+  colors_.wrote(batch.update.rows);
+  colors_.add(batch.colors, batch.colors_ns, batch.scene_ns);
+  if (shown_ns_ == 0) colors_.advance(0, rows);
   object_ids_ = batch.object_ids;
   display_space_ = batch.display_space;
   if (batch.bounds) bounds_ = batch.bounds;
+}
+
+void Stage::advance(std::int64_t shown_ns) {
+  shown_ns_ = shown_ns;
+  colors_.advance(shown_ns, renderer_.rows());
 }
 
 Frame Stage::frame_of(const Camera& camera, const SceneState& scene, float time_s) const {
@@ -53,11 +61,14 @@ Frame Stage::frame_of(const Camera& camera, const SceneState& scene, float time_
           .background = scene.light.background,
           .display_space = display_space_,
           .antialias = antialias_,
-          .time_s = time_s};
+          .time_s = time_s,
+          .color_part = colors_.part()};
 }
 
 void Stage::draw(const Camera& camera, const SceneState& scene, float time_s, GLuint framebuffer) {
-  renderer_.draw(frame_of(camera, scene, time_s), framebuffer);
+  Frame frame = frame_of(camera, scene, time_s);
+  frame.resolution = resolution_;
+  renderer_.draw(frame, framebuffer);
 }
 
 Picture Stage::capture(const Camera& camera, const SceneState& scene, float time_s) {

@@ -6,6 +6,7 @@
 
 #include "gaussians/light.h"
 #include "viewer/gl/batch.h"
+#include "viewer/gl/color_playout.h"
 #include "viewer/gl/splat_renderer.h"
 
 namespace splatbus::viewer::gl {
@@ -21,12 +22,19 @@ class Stage {
   explicit Stage(Draw draw = Draw::Auto) : renderer_(draw) {}
 
   void add(const Batch& batch);
+  /// Colors are those of this time of the engine's clock, between those that came for it; 0, as before the first call:
+  /// the newest.
+  void advance(std::int64_t shown_ns);
+  /// Whether other colors are on their way.
+  [[nodiscard]] bool recoloring() const { return colors_.moving(); }
 
   /// `time_s` as Frame's.
   void draw(const Camera& camera, const SceneState& scene, float time_s, GLuint framebuffer = 0);
   [[nodiscard]] Picture capture(const Camera& camera, const SceneState& scene, float time_s);
 
   void set_antialias(bool antialias) { antialias_ = antialias; }
+  /// Of draw(), as Frame's.
+  void set_resolution(float resolution) { resolution_ = resolution; }
   void set_timed(bool timed) { renderer_.set_timed(timed); }
   [[nodiscard]] std::vector<StepTimes> take_times() { return renderer_.take_times(); }
   /// How pictures were drawn. Waits for the device.
@@ -41,9 +49,12 @@ class Stage {
   [[nodiscard]] Frame frame_of(const Camera& camera, const SceneState& scene, float time_s) const;
 
   SplatRenderer renderer_;
+  ColorPlayout colors_;
+  std::int64_t shown_ns_ = 0;
   std::vector<std::uint32_t> object_ids_{kWorldFrame};
   std::optional<Bounds> bounds_;
   bool display_space_ = false, antialias_ = true;
+  float resolution_ = 1;
 };
 
 }  // namespace splatbus::viewer::gl

@@ -79,6 +79,11 @@ export class Playout {
     return this.#shown;
   }
 
+  /** The same; null where nobody knows. */
+  timeAt(nowMs: number): number | null {
+    return this.#kept.length > 0 ? this.shownMs(nowMs) : null;
+  }
+
   /** Null where nothing is known, and the newest scene is to be shown. */
   at(nowMs: number): Played | null {
     const kept = this.#kept;

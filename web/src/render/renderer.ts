@@ -9,6 +9,8 @@ export interface Frame {
   readonly resolution: number;
   /** The clock of RowUpdate.fades. */
   readonly timeS: number;
+  /** How far colors are from those that keepColors() has kept to those that there are: at 1. */
+  readonly colorPart: number;
 }
 
 /** What an eye sees, and where in the target, from its lower left corner. */
@@ -57,8 +59,11 @@ export interface Renderer {
   /** Resolves, with a reason, when the device is gone: nothing is drawn any more, and another renderer is needed. */
   readonly lost: Promise<string>;
 
+  /** Its colors are those to keep as well. */
   apply(update: RowUpdate): void;
   recolor(update: ColorUpdate): void;
+  /** The colors that there are become those from which Frame.colorPart goes; nothing is uploaded. */
+  keepColors(): void;
   /** Every row is free again. */
   clear(): void;
   setOrder(order: Uint32Array): void;

@@ -24,7 +24,7 @@ export class Publisher {
   #underWay = 0;
   #standing = false;
   #scene = kNoScene;
-  #time: SceneTime = { captureMs: 0, arrivedMs: 0 };
+  #time: SceneTime = { captureMs: 0, arrivedMs: 0, colorsMs: 0 };
   #complete = false;
 
   /** `nowS`: the clock of RowUpdate.fades. */

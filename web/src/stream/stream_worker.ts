@@ -128,7 +128,7 @@ class Stream {
       displaySpace: stats.radiance,
     };
     const more = rows.length === kMostRows || colors.rows.length === kMostRows;
-    const time = { captureMs: stats.sceneCaptureMs, arrivedMs: stats.sceneArrivedMs + this.#aheadMs };
+    const time = { captureMs: stats.sceneCaptureMs, arrivedMs: stats.sceneArrivedMs + this.#aheadMs, colorsMs: stats.colorsMs };
     this.#publisher.publish({ rows, records, harmonics }, colors, scene, time, isWhole(stats) && !more);
     if (more) this.#publishSoon();
   }

@@ -33,8 +33,10 @@ export interface FollowerStats {
   readonly sceneArrivedMs: number;
   /** Colours are in display space, and blended there. */
   readonly radiance: boolean;
+  /** The instant of the scene that the colours last taken show, as sceneCaptureMs. */
+  readonly colorsMs: number;
 }
-const kStats = 16;
+const kStats = 17;
 const kPoseFloats = 22;
 
 export type ReceiveResult = 'received' | 'refused' | 'out of memory';
@@ -209,6 +211,7 @@ export class Follower {
       sceneCaptureMs: stat(13),
       sceneArrivedMs: stat(14),
       radiance: stat(15) === 1,
+      colorsMs: stat(16),
     };
   }
 

@@ -2,12 +2,14 @@
 import type { EnginePicture, FromStreamWorker, StreamFigures, ToStreamWorker, WorkerScope } from '../../src/stream/messages';
 import { Publisher } from '../../src/stream/publisher';
 import { referencePicture } from './reference';
-import { syntheticScene } from './synthetic_scene';
+import { packRecords, syntheticScene } from './synthetic_scene';
 
 const scope = self as unknown as WorkerScope<ToStreamWorker, FromStreamWorker>;
 const scene = syntheticScene(3000);
 const world = { transforms: scene.transforms, farField: 0, player: 0, background: [0.1, 0.2, 0.4] as const, displaySpace: false };
 let state = world;
+const kUntimed = { captureMs: 0, arrivedMs: 0, colorsMs: 0 };
+let time = kUntimed;
 const noColors = { rows: new Uint32Array(0), colors: new Uint32Array(0) };
 let clockOriginMs = performance.timeOrigin;
 const publisher = new Publisher(() => (performance.timeOrigin + performance.now() - clockOriginMs) / 1000);
@@ -38,13 +40,22 @@ function engineDraws(probeId: number, floats: Float32Array): EnginePicture {
 /** A few rows change: what the test says to a channel of its own. */
 new BroadcastChannel('change').onmessage = ({ data }: MessageEvent<number>) => {
   const rows = Uint32Array.from({ length: data }, (_, row) => row);
-  publisher.publish({ rows, records: scene.records.slice(0, 8 * data) }, noColors, state, { captureMs: 0, arrivedMs: 0 }, true);
+  publisher.publish({ rows, records: scene.records.slice(0, 8 * data) }, noColors, state, time, true);
+};
+
+/** All rows in another light, of a scene that was then. */
+new BroadcastChannel('light').onmessage = ({ data }: MessageEvent<{ ms: number; arrivedMs: number; part: number }>) => {
+  const lit = packRecords(scene.gaussians.map((gaussian) => ({ ...gaussian, color: [data.part, data.part, data.part] })));
+  const rows = Uint32Array.from(scene.gaussians, (_, row) => row);
+  const colors = { rows, colors: rows.map((row) => lit[8 * row + 7]) };
+  time = { captureMs: data.ms, colorsMs: data.ms, arrivedMs: data.arrivedMs };
+  publisher.publish({ rows: new Uint32Array(0), records: new Uint32Array(0) }, colors, state, time, true);
 };
 
 /** A player's camera, world_from_camera [3][4]; null: the player is gone. */
 new BroadcastChannel('player').onmessage = ({ data }: MessageEvent<number[] | null>) => {
   state = data ? { ...world, transforms: new Float32Array([...scene.transforms, ...data]), player: scene.transforms.length / 12 } : world;
-  publisher.publish({ rows: new Uint32Array(0), records: new Uint32Array(0) }, noColors, state, { captureMs: 0, arrivedMs: 0 }, true);
+  publisher.publish({ rows: new Uint32Array(0), records: new Uint32Array(0) }, noColors, state, kUntimed, true);
 };
 /** The connection is lost, to be tried again in so many seconds; 0: it is there again. */
 new BroadcastChannel('connection').onmessage = ({ data }: MessageEvent<number>) =>
@@ -54,7 +65,7 @@ const asked = new BroadcastChannel('asked');
 scope.onmessage = ({ data }) => {
   if (data.kind === 'start') {
     clockOriginMs = data.clockOriginMs;
-    publisher.publish({ rows: Uint32Array.from(scene.gaussians, (_, row) => row), records: scene.records }, noColors, state, { captureMs: 0, arrivedMs: 0 }, true);
+    publisher.publish({ rows: Uint32Array.from(scene.gaussians, (_, row) => row), records: scene.records }, noColors, state, kUntimed, true);
     scope.postMessage({ kind: 'connection', state: 'open', retryS: 0 });
   } else if (data.kind === 'attach') {
     publisher.attach(data.port, data.standing);

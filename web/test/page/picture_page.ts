@@ -5,6 +5,7 @@ import type { Frame, Picture, Renderer } from '../../src/render/renderer';
 import { RowMirror } from '../../src/stream/row_mirror';
 import { Follower, loadWasm, Sorter, type Exports } from '../../src/stream/wasm';
 import { makeRenderer } from '../../src/render/make_renderer';
+import { playedColors } from './played_colors';
 import { psnr, rgbOf, ssim } from './quality';
 import { referenceOrder, referencePicture, linearOf, srgb } from './reference';
 import { packRecords, syntheticScene, type SyntheticScene } from './synthetic_scene';
@@ -30,6 +31,7 @@ const frameOf = (scene: SyntheticScene, view: View): Frame => ({
   scene: { transforms: scene.transforms, farField: 0, player: 0, background: kBackground, displaySpace: false },
   resolution: 1,
   timeS: 1000,
+  colorPart: 1,
 });
 
 /** As they come through the WebSocket; in the log both lengths come first. */
@@ -72,7 +74,7 @@ async function drawPoses(follower: Follower, renderer: Renderer, sorter: Sorter,
     const [fx, fy, cx, cy, width, height] = pose.slice(16);
     const view = { viewFromWorld: Float64Array.from(pose.slice(0, 16)), fx, fy, cx, cy, width, height };
     renderer.setOrder(sorter.sort(new Float32Array(view.viewFromWorld)).slice());
-    pictures.push(await pngOf(await renderer.capture({ view, scene, resolution: 1, timeS: 1000 })));
+    pictures.push(await pngOf(await renderer.capture({ view, scene, resolution: 1, timeS: 1000, colorPart: 1 })));
   }
   return pictures;
 }
@@ -151,6 +153,9 @@ const tests = {
     const truth = referencePicture(scene, view, blended).map((value) => 255 * linearOf(value / 255));
     return { bytes: replaced, psnr: linear.psnr, display: psnr(rgbOf(picture), truth) };
   },
+
+  /** Between the scenes that colors are of, how near to the reference and how much was uploaded. */
+  played: async (api: 'webgl2' | 'webgpu'): Promise<object[]> => playedColors(await cleared(api), testView(128, 1)),
 
   /** Rows on their way in or out are as opaque as the time says, a quarter of a second long. */
   async fading(api: 'webgl2' | 'webgpu'): Promise<{ since: number; atS: number; psnr: number }[]> {

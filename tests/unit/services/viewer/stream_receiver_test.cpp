@@ -95,6 +95,28 @@ TEST_F(StreamReceiverTest, ReceivesWhileNobodyTakes) {
   EXPECT_EQ(receiver.status().refused, 0U);
 }
 
+TEST_F(StreamReceiverTest, WhatIsShownStaysUntilAModelOfAnotherSizeIsThere) {
+  start_streamer();
+  trainer_.publish(stream::test::toy_model(6000, 1));
+  viewer::ClientOptions options = client_options("one");
+  options.max_gaussians = 3000;
+  StreamReceiver receiver(options);
+  ASSERT_TRUE(take_until(receiver, [&] { return display_.count() > 0 && receiver.status().missing_pages == 0; }));
+  const std::size_t few = display_.count();
+  EXPECT_LE(few, 3000U);
+  receiver.set_budget(6000, 0);
+  std::size_t least = few;
+  EXPECT_TRUE(take_until(receiver, [&] {
+    least = std::min(least, display_.count());
+    return display_.count() == 6000;
+  }));
+  EXPECT_EQ(least, few) << "less was shown meanwhile";
+  const viewer::ShownModel copy = receiver.copy_model().get();
+  stream::DisplayGaussians copied;
+  copied.apply(copy.changes);
+  EXPECT_EQ(stream::test::count_shown(copied.view()), 6000U);
+}
+
 TEST_F(StreamReceiverTest, WhatIsSentLeavesWhileNothingArrives) {
   start_streamer();
   const auto observer = connect("observer");

@@ -77,6 +77,7 @@ export class Projection {
     gl.uniform2f(program.at('uSize'), view.width, view.height);
     gl.uniform4f(program.at('uTangents'), ...tangentLimits(view));
     gl.uniform1f(program.at('uTime'), frame.timeS);
+    gl.uniform1f(program.at('uColorPart'), frame.colorPart);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.#ranks.target);
     gl.viewport(0, 0, kOrderWidth, Math.ceil(this.#count / kOrderWidth));
     gl.disable(gl.BLEND);

@@ -15,6 +15,8 @@ precision highp sampler2D;
 uniform usampler2D uGeometry;    // mean xyz, log scale xy
 uniform usampler2D uAppearance;  // log scale z and rotation, opacity and object, color
 uniform sampler2D uFade;
+uniform usampler2D uKept;        // color before
+uniform float uColorPart;        // from there to the appearance's
 uniform usampler2D uOrder;
 uniform sampler2D uObjects;      // camera_from_object, three texels an object
 uniform usampler2D uHarmonics;
@@ -31,6 +33,12 @@ layout(location = 1) out uvec4 oHigh;  // root z, log2 of alpha in the middle, c
 
 const float kNear = 0.05;
 ${kSplatFunctions}
+vec3 shadeOf(ivec2 at, uint word) {
+  vec3 color = colorOf(word);
+  if (uColorPart < 1.0) color = mix(colorOf(texelFetch(uKept, at, 0).x), color, uColorPart);
+  return color;
+}
+
 vec3 radianceOf(int row, vec3 d) {
   float basis[16];
   harmonicBasis(d, basis);
@@ -78,7 +86,7 @@ void main() {
   mat3 w = mat3(w0.xyz, w1.xyz, w2.xyz);
   if (!splatOf(View(uPinhole, uSize, uTangents, true), geometry, appearance, w, point, opacity, splat)) return;
   vec3 color = uHarmonicTexels == 0
-      ? colorOf(appearance.w)
+      ? shadeOf(at, appearance.w)
       : radianceOf(row, normalize(w0.xyz * point.x + w1.xyz * point.y + w2.xyz * point.z));
   oLow = floatBitsToUint(vec4(splat.centre, splat.root.xy));
   oHigh = uvec4(floatBitsToUint(vec2(splat.root.z, splat.log2Alpha)), packHalf2x16(color.rg), packHalf2x16(vec2(color.b, 0.0)));

@@ -2,13 +2,17 @@ import { kRecordWords, type ColorUpdate, type RowUpdate } from '../../records';
 import { Program, makeTarget, makeTexture, type Gl } from './gl';
 import { HarmonicStore } from './harmonic_store';
 import { kRowsWide } from './layout';
-import { kScatterFragment, kScatterVertex } from './shaders';
+import { kKeepFragment, kScatterFragment, kScatterVertex, kWholeVertex } from './shaders';
 
 interface Textures {
   readonly geometry: WebGLTexture;
   readonly appearance: WebGLTexture;
   readonly fade: WebGLTexture;
+  /** Colors as they were: those of now are in the appearance. */
+  readonly kept: WebGLTexture;
   readonly target: WebGLFramebuffer;
+  /** Of what is kept alone: the appearance is read. */
+  readonly keepTarget: WebGLFramebuffer;
   readonly high: number;
 }
 
@@ -16,14 +20,20 @@ interface Textures {
 export class RowStore {
   #textures: Textures;
   readonly #scatter: Program;
+  readonly #keep: Program;
   readonly #arrays: WebGLVertexArrayObject;
   readonly #colorArrays: WebGLVertexArrayObject;
+  readonly #nothing: WebGLVertexArrayObject;
   readonly #buffers: readonly [WebGLBuffer, WebGLBuffer, WebGLBuffer, WebGLBuffer];
   readonly #harmonics: HarmonicStore;
   readonly uploaded = { rows: 0, bytes: 0 };
+  /** Above every row that was ever used. */
+  #used = 0;
 
   constructor(private readonly gl: Gl) {
     this.#scatter = new Program(gl, kScatterVertex, kScatterFragment);
+    this.#keep = new Program(gl, kWholeVertex, kKeepFragment);
+    this.#nothing = gl.createVertexArray();
     this.#buffers = [gl.createBuffer(), gl.createBuffer(), gl.createBuffer(), gl.createBuffer()];
     this.#arrays = gl.createVertexArray();
     gl.bindVertexArray(this.#arrays);
@@ -56,12 +66,14 @@ export class RowStore {
     program.sampler('uAppearance', 1, this.#textures.appearance);
     program.sampler('uFade', 2, this.#textures.fade);
     this.#harmonics.bind(program, 5, this.#textures.geometry);
+    program.sampler('uKept', 6, this.#textures.kept);
   }
 
   apply(update: RowUpdate): void {
     let last = -1;
     for (const row of update.rows) last = Math.max(last, row);
     this.#reserve(last + 1);
+    this.#used = Math.max(this.#used, last + 1);
     const [rows, records, fades] = this.#buffers;
     const contents = [
       [rows, update.rows],
@@ -80,12 +92,24 @@ export class RowStore {
       [colors, update.colors],
     ] as const;
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.#textures.target);
-    gl.drawBuffers([gl.NONE, gl.COLOR_ATTACHMENT1, gl.NONE]);
+    gl.drawBuffers([gl.NONE, gl.COLOR_ATTACHMENT1, gl.NONE, gl.NONE]);
     gl.colorMask(false, false, false, true);
     this.#draw(contents, this.#colorArrays, update.rows.length);
     gl.colorMask(true, true, true, true);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.#textures.target);
-    gl.drawBuffers([gl.COLOR_ATTACHMENT0, gl.COLOR_ATTACHMENT1, gl.COLOR_ATTACHMENT2]);
+    gl.drawBuffers([gl.COLOR_ATTACHMENT0, gl.COLOR_ATTACHMENT1, gl.COLOR_ATTACHMENT2, gl.COLOR_ATTACHMENT3]);
+  }
+
+  keepColors(): void {
+    const { gl } = this;
+    this.#keep.use();
+    this.#keep.sampler('uAppearance', 0, this.#textures.appearance);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.#textures.keepTarget);
+    gl.viewport(0, 0, kRowsWide, Math.ceil(this.#used / kRowsWide));
+    gl.disable(gl.BLEND);
+    gl.bindVertexArray(this.#nothing);
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+    gl.bindVertexArray(null);
   }
 
   /** Uploads what changed, and writes it to its places. */
@@ -110,6 +134,7 @@ export class RowStore {
 
   clear(): void {
     this.#clear(this.#textures);
+    this.#used = 0;
   }
 
   #clear(textures: Textures): void {
@@ -118,6 +143,7 @@ export class RowStore {
     gl.clearBufferuiv(gl.COLOR, 0, [0, 0, 0, 0]);
     gl.clearBufferuiv(gl.COLOR, 1, [0, 0, 0, 0]);
     gl.clearBufferfv(gl.COLOR, 2, [0, 0, 0, 0]);
+    gl.clearBufferuiv(gl.COLOR, 3, [0, 0, 0, 0]);
   }
 
   #make(high: number): Textures {
@@ -125,7 +151,9 @@ export class RowStore {
     const geometry = makeTexture(gl, gl.RGBA32UI, kRowsWide, high, gl.NEAREST);
     const appearance = makeTexture(gl, gl.RGBA32UI, kRowsWide, high, gl.NEAREST);
     const fade = makeTexture(gl, gl.R32F, kRowsWide, high, gl.NEAREST);
-    const textures = { geometry, appearance, fade, target: makeTarget(gl, [geometry, appearance, fade]), high };
+    const kept = makeTexture(gl, gl.R32UI, kRowsWide, high, gl.NEAREST);
+    const target = makeTarget(gl, [geometry, appearance, fade, kept]);
+    const textures = { geometry, appearance, fade, kept, target, keepTarget: makeTarget(gl, [kept]), high };
     this.#clear(textures);
     return textures;
   }
@@ -143,6 +171,7 @@ export class RowStore {
       [before.geometry, after.geometry],
       [before.appearance, after.appearance],
       [before.fade, after.fade],
+      [before.kept, after.kept],
     ] as const;
     gl.bindFramebuffer(gl.READ_FRAMEBUFFER, from);
     for (const [source, destination] of pairs) {
@@ -150,8 +179,7 @@ export class RowStore {
       gl.bindTexture(gl.TEXTURE_2D, destination);
       gl.copyTexSubImage2D(gl.TEXTURE_2D, 0, 0, 0, 0, 0, kRowsWide, before.high);
     }
-    gl.deleteFramebuffer(from);
-    gl.deleteFramebuffer(before.target);
+    for (const framebuffer of [from, before.target, before.keepTarget]) gl.deleteFramebuffer(framebuffer);
     for (const [source] of pairs) gl.deleteTexture(source);
   }
 }

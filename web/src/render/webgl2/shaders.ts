@@ -91,11 +91,22 @@ flat in float vFade;
 layout(location = 0) out uvec4 oGeometry;
 layout(location = 1) out uvec4 oAppearance;
 layout(location = 2) out float oFade;
+layout(location = 3) out uint oKept;
 void main() {
   oGeometry = vGeometry;
   oAppearance = vAppearance;
   oFade = vFade;
+  oKept = vAppearance.w;
 }`;
+
+/** Keeps the colors of all rows. */
+export const kKeepFragment = `#version 300 es
+precision highp float;
+precision highp int;
+precision highp usampler2D;
+uniform usampler2D uAppearance;
+out uint oKept;
+void main() { oKept = texelFetch(uAppearance, ivec2(gl_FragCoord.xy), 0).w; }`;
 
 /** Writes one texel of rows' harmonics. */
 export const kHarmonicVertex = `#version 300 es

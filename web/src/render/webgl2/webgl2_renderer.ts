@@ -62,6 +62,10 @@ export class WebGl2Renderer implements EyeRenderer {
     this.#rows.recolor(update);
   }
 
+  keepColors(): void {
+    this.#rows.keepColors();
+  }
+
   clear(): void {
     this.#rows.clear();
     this.#projection.setOrder(new Uint32Array(0));

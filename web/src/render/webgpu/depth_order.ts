@@ -42,7 +42,7 @@ export class DepthOrder {
       this.#steps.push({ pipeline, over, group: bindGroup(device, pipeline, buffers) });
     };
     const { seen } = this;
-    step(pipelines.project, 'projected', { 0: view, 1: rows.records, 2: rows.fades, 3: objects, 4: this.splats, 5: keys, 6: rows.harmonics });
+    step(pipelines.project, 'projected', { 0: view, 1: rows.records, 2: rows.fades, 3: objects, 4: this.splats, 5: keys, 6: rows.harmonics, 7: rows.kept });
     const { first, next } = pipelines;
     step(first.histogram, 'all rows', { 0: view, 2: keys, 3: counts });
     step(first.scanCounts, 'one', { 0: view, 3: counts, 4: seen, 5: this.#sortArgs, 6: this.drawArgs });

@@ -13,6 +13,7 @@ export const kProject = `${kView}${kSplat}
 @group(0) @binding(4) var<storage, read_write> splats: array<Splat>;
 @group(0) @binding(5) var<storage, read_write> keys: array<u32>;
 @group(0) @binding(6) var<storage, read> harmonics: array<u32>;
+@group(0) @binding(7) var<storage, read> kept: array<u32>;
 
 const kBlur = 0.3;
 const kNear = 0.05;
@@ -117,6 +118,8 @@ fn project(row: u32) -> u32 {
   var color = appearance.w;
   if (view.harmonic_words != 0) {
     color = radiance_of(row, normalize(w0.xyz * point.x + w1.xyz * point.y + w2.xyz * point.z));
+  } else if (view.color_part < 1) {
+    color = rgb9e5(mix(color_of(kept[row]), color_of(color), view.color_part));
   }
   let root_c = sqrt(c);
   splats[row] = Splat(centre, log2_alpha, reach, vec3f(sqrt(blurred) / root_c, b / root_c, root_c) / kWhiteScale, color);

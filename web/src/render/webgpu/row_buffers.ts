@@ -1,5 +1,5 @@
 import { kRecordWords, type ColorUpdate, type RowUpdate } from '../../records';
-import { kScatterColors, kScatterHarmonics, kScatterRows } from './row_shaders';
+import { kKeepColors, kScatterColors, kScatterHarmonics, kScatterRows } from './row_shaders';
 import { kThreads } from './shared_shaders';
 
 /** A pipeline of one shader that computes. */
@@ -29,12 +29,15 @@ export class RowBuffers {
   used = 0;
   records: GPUBuffer;
   fades: GPUBuffer;
+  /** Colors as they were: those of now are in the records. */
+  kept: GPUBuffer;
   /** [capacity][harmonicWords]; something where there are none. */
   harmonics: GPUBuffer;
   harmonicWords = 0;
   readonly #scatterHarmonics: GPUComputePipeline;
   readonly #scatterRows: GPUComputePipeline;
   readonly #scatterColors: GPUComputePipeline;
+  readonly #keepColors: GPUComputePipeline;
   readonly #staging = new Map<string, GPUBuffer>();
   readonly #count: GPUBuffer;
 
@@ -42,9 +45,11 @@ export class RowBuffers {
     this.#scatterRows = computePipeline(device, 'scatter rows', kScatterRows);
     this.#scatterHarmonics = computePipeline(device, 'scatter harmonics', kScatterHarmonics);
     this.#scatterColors = computePipeline(device, 'scatter colors', kScatterColors);
+    this.#keepColors = computePipeline(device, 'keep colors', kKeepColors);
     this.#count = device.createBuffer({ size: 16, usage: GPUBufferUsage.UNIFORM | GPUBufferUsage.COPY_DST });
     this.records = this.#make(kRecordWords);
     this.fades = this.#make(1);
+    this.kept = this.#make(1);
     this.harmonics = this.#make(1);
     this.#reserve(16384);
   }
@@ -60,6 +65,7 @@ export class RowBuffers {
       2: this.#stage('fades', update.fades),
       3: this.records,
       4: this.fades,
+      6: this.kept,
     });
     this.uploaded.rows += update.rows.length;
     if (update.rows.length > 0) this.#applyHarmonics(update);
@@ -84,6 +90,10 @@ export class RowBuffers {
       3: this.records,
     });
     this.uploaded.rows += update.rows.length;
+  }
+
+  keepColors(): void {
+    this.#scatter(this.#keepColors, this.used, { 3: this.records, 6: this.kept });
   }
 
   clear(): void {
@@ -129,12 +139,13 @@ export class RowBuffers {
     const widest = Math.max(kRecordWords, this.harmonicWords);
     const most = Math.floor(this.device.limits.maxStorageBufferBindingSize / (4 * widest));
     this.capacity = Math.min(Math.max(rows, 2 * this.capacity), most);
-    const before = [this.records, this.fades, this.harmonics];
+    const before = [this.records, this.fades, this.kept, this.harmonics];
     this.records = this.#make(kRecordWords);
     this.fades = this.#make(1);
+    this.kept = this.#make(1);
     this.harmonics = this.#make(Math.max(this.harmonicWords, 1));
     const commands = this.device.createCommandEncoder();
-    [this.records, this.fades, this.harmonics].forEach((after, i) => commands.copyBufferToBuffer(before[i], 0, after, 0, before[i].size));
+    [this.records, this.fades, this.kept, this.harmonics].forEach((after, i) => commands.copyBufferToBuffer(before[i], 0, after, 0, before[i].size));
     this.device.queue.submit([commands.finish()]);
     for (const buffer of before) buffer.destroy();
   }

@@ -8,12 +8,14 @@ export const kScatterRows = `
 @group(0) @binding(3) var<storage, read_write> records: array<vec4u>;
 @group(0) @binding(4) var<storage, read_write> fades: array<f32>;
 @group(0) @binding(5) var<uniform> count: u32;
+@group(0) @binding(6) var<storage, read_write> kept: array<u32>;
 @compute @workgroup_size(${kThreads}) fn main(@builtin(global_invocation_id) id: vec3u) {
   if (id.x >= count) { return; }
   let row = rows[id.x];
   records[2 * row] = changed[2 * id.x];
   records[2 * row + 1] = changed[2 * id.x + 1];
   fades[row] = changed_fades[id.x];
+  kept[row] = changed[2 * id.x + 1].w;
 }`;
 
 export const kScatterColors = `
@@ -24,6 +26,16 @@ export const kScatterColors = `
 @compute @workgroup_size(${kThreads}) fn main(@builtin(global_invocation_id) id: vec3u) {
   if (id.x >= count) { return; }
   records[2 * rows[id.x] + 1].w = changed[id.x];
+}`;
+
+/** Of all rows. */
+export const kKeepColors = `
+@group(0) @binding(3) var<storage, read> records: array<vec4u>;
+@group(0) @binding(5) var<uniform> count: u32;
+@group(0) @binding(6) var<storage, read_write> kept: array<u32>;
+@compute @workgroup_size(${kThreads}) fn main(@builtin(global_invocation_id) id: vec3u) {
+  if (id.x >= count) { return; }
+  kept[id.x] = records[2 * id.x + 1].w;
 }`;
 
 export const kScatterHarmonics = `

@@ -16,6 +16,7 @@ struct View {
   background: vec3f,
   display_space: u32,
   harmonic_words: u32,  // of a row; 0: colors do not depend on where one looks from
+  color_part: f32,      // from the colors that are kept to the records'
 }
 @group(0) @binding(0) var<uniform> view: View;
 `;
@@ -27,5 +28,8 @@ struct Splat {
   reach: f32,          // white units
   root: vec3f,         // Cholesky factor of the covariance: xu, xv, yv, pixels a white unit
   color: u32,
+}
+fn color_of(word: u32) -> vec3f {
+  return vec3f(vec3u(word, word >> 9, word >> 18) & vec3u(0x1ff)) * exp2(f32(i32(word >> 27) - 24));
 }
 `;

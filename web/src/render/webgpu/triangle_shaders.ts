@@ -10,9 +10,6 @@ struct Corner {
   @location(0) white: vec2f,
   @location(1) @interpolate(flat) color: vec4f,  // rgb, log2 of alpha in the middle
 }
-fn color_of(word: u32) -> vec3f {
-  return vec3f(vec3u(word, word >> 9, word >> 18) & vec3u(0x1ff)) * exp2(f32(i32(word >> 27) - 24));
-}
 @vertex fn vertex(@builtin(vertex_index) index: u32) -> Corner {
   let splat = splats[order[index / 3]];
   let corner = index % 3;

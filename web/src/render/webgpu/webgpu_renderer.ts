@@ -66,6 +66,10 @@ export class WebGpuRenderer implements Renderer {
     this.#rows.recolor(update);
   }
 
+  keepColors(): void {
+    this.#rows.keepColors();
+  }
+
   clear(): void {
     this.#rows.clear();
   }
@@ -144,6 +148,7 @@ export class WebGpuRenderer implements Renderer {
     floats.set(blendedBackground(scene), 12);
     words[15] = Number(scene.displaySpace);
     words[16] = this.#rows.harmonicWords;
+    floats[17] = frame.colorPart;
     this.device.queue.writeBuffer(this.#view, 0, bytes);
     const objects = new Float32Array(scene.transforms.length);
     cameraFromObjects(frame.view, scene.transforms, scene.farField, objects);

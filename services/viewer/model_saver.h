@@ -1,0 +1,23 @@
+#pragma once
+
+#include <future>
+#include <optional>
+#include <string>
+
+#include "viewer/stream_receiver.h"
+
+namespace splatbus::viewer {
+
+/// Writes what a viewer shows as a file for other programs, beside the pictures.
+class ModelSaver {
+ public:
+  /// `path` ends in .ply, .glb or .spz. False while another is being written.
+  bool begin(StreamReceiver& receiver, const std::string& path);
+  /// What has become of it, once.
+  [[nodiscard]] std::optional<std::string> take_outcome();
+
+ private:
+  std::future<std::string> outcome_;
+};
+
+}  // namespace splatbus::viewer

@@ -1,0 +1,52 @@
+#include "viewer/ui/kept_picture.h"
+
+namespace splatbus::viewer {
+
+KeptPicture::~KeptPicture() {
+  if (texture_ == 0) return;
+  glDeleteFramebuffers(1, &framebuffer_);
+  glDeleteTextures(1, &texture_);
+}
+
+void KeptPicture::keep(int width, int height) {
+  if (texture_ == 0) {
+    glGenTextures(1, &texture_);
+    glGenFramebuffers(1, &framebuffer_);
+  }
+  glBindFramebuffer(GL_DRAW_FRAMEBUFFER, framebuffer_);
+  if (width != width_ || height != height_) {
+    width_ = width;
+    height_ = height;
+    glBindTexture(GL_TEXTURE_2D, texture_);
+    glTexImage2D(GL_TEXTURE_2D, 0, GL_RGB8, width, height, 0, GL_RGB, GL_UNSIGNED_BYTE, nullptr);
+    glFramebufferTexture2D(GL_DRAW_FRAMEBUFFER, GL_COLOR_ATTACHMENT0, GL_TEXTURE_2D, texture_, 0);
+  }
+  glBindFramebuffer(GL_READ_FRAMEBUFFER, 0);
+  glBlitFramebuffer(0, 0, width, height, 0, 0, width, height, GL_COLOR_BUFFER_BIT, GL_NEAREST);
+  glBindFramebuffer(GL_FRAMEBUFFER, 0);
+}
+
+void KeptPicture::restore(int width, int height) const {
+  glBindFramebuffer(GL_FRAMEBUFFER, 0);
+  if (texture_ == 0) {
+    glClearColor(0, 0, 0, 1);
+    glClear(GL_COLOR_BUFFER_BIT);
+    return;
+  }
+  glBindFramebuffer(GL_READ_FRAMEBUFFER, framebuffer_);
+  glBlitFramebuffer(0, 0, width_, height_, 0, 0, width, height, GL_COLOR_BUFFER_BIT, GL_LINEAR);
+  glBindFramebuffer(GL_FRAMEBUFFER, 0);
+}
+
+cv::Mat KeptPicture::read() const {
+  if (texture_ == 0) return {};
+  cv::Mat bottom_up(height_, width_, CV_8UC3), picture;
+  glBindFramebuffer(GL_READ_FRAMEBUFFER, framebuffer_);
+  glPixelStorei(GL_PACK_ALIGNMENT, 1);
+  glReadPixels(0, 0, width_, height_, GL_BGR, GL_UNSIGNED_BYTE, bottom_up.data);
+  glBindFramebuffer(GL_FRAMEBUFFER, 0);
+  cv::flip(bottom_up, picture, 0);
+  return picture;
+}
+
+}  // namespace splatbus::viewer
