@@ -50,7 +50,7 @@ class ViewerFeed {
   void sent(std::int64_t now_ns);
   [[nodiscard]] std::uint64_t next_sequence() const { return sequence_ + 1; }
   [[nodiscard]] bool waits() const { return waits_; }
-  /// Whether it once had all that it is to have, since it began or started over.
+  /// Whether it once had all pages that it has room for, since it began or started over.
   [[nodiscard]] bool was_whole() const { return was_whole_; }
   /// Beside what next() gives: counted, and numbered.
   void sent_beside(double bytes, std::int64_t now_ns);

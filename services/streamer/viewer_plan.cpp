@@ -132,6 +132,7 @@ void ViewerFeed::plan(const PageBoard& board, const std::optional<ViewerGaze>& g
 
   std::erase_if(declined_, [&](const auto& entry) { return entry.second < planned_ns_; });
   double followed = 0, all = 0;
+  bool lacks = false;
   for (const stream::OfferedPage& page : board.offered()) {
     if (declined_.contains(page.page)) continue;
     const float weight = weights_.at(page.page);
@@ -153,6 +154,7 @@ void ViewerFeed::plan(const PageBoard& board, const std::optional<ViewerGaze>& g
       }
       continue;
     }
+    lacks = lacks || (held == held_.end() && fits);
     const double bytes = board.bytes_of(page);
     const auto missed = missed_.find(page.page);
     float off = std::max(kBehindSteps, missed != missed_.end() ? missed->second.steps : 0);
@@ -168,6 +170,7 @@ void ViewerFeed::plan(const PageBoard& board, const std::optional<ViewerGaze>& g
     items.push_back(
         {.score = weight * steps / static_cast<float>(bytes), .bytes = bytes, .delta = 0, .page = page.page});
   }
+  was_whole_ = was_whole_ || (!lacks && !held_.empty());
   learn_delta_share(board, followed / std::max(all, 1e-9), planned_ns_ - before_ns);
   order(std::move(items), budget_bytes);
 }
