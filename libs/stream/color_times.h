@@ -21,7 +21,11 @@ class ColorTimes {
     if (std::exchange(epoch_, replica.epoch()) != replica.epoch()) captured_ns_.clear();
     const std::int64_t captured_ns = replica.scene_instant().capture_ns;
     if (captured_ns <= 0) return;
-    if (!captured_ns_.empty() && replica.scene_version() < captured_ns_.rbegin()->first) captured_ns_.clear();
+    if (!captured_ns_.empty()) {
+      // Of another engine, whose clock is another.
+      const auto& [version, newest_ns] = *captured_ns_.rbegin();
+      if (replica.scene_version() < version || captured_ns < newest_ns) captured_ns_.clear();
+    }
     captured_ns_.emplace(replica.scene_version(), captured_ns);
     if (captured_ns_.size() > kKept) captured_ns_.erase(captured_ns_.begin());
   }

@@ -43,7 +43,8 @@ class GlPainter final : public Painter {
     say_choice();
   }
 
-  bool settles(float time_s) const override { return time_s < faded_s_ || stage_->recoloring(); }
+  bool settles(float time_s) const override { return time_s < faded_s_ || recoloring(); }
+  bool recoloring() const override { return stage_->recoloring(); }
   std::optional<std::size_t> drawn() const override { return stage_->count_seen(); }
   std::optional<gl::Bounds> bounds() const override { return stage_->bounds(); }
 

@@ -22,15 +22,17 @@ class Painter {
   /// What was taken is from now on shown as it was at this time of the engine's clock; 0, as before: as it came. Not
   /// all that was taken can be: a rasteriser has what is newest.
   virtual void advance(std::int64_t /*shown_ns*/) {}
-  /// The picture of exactly what was taken. CV_8UC3 BGR.
+  /// The picture of what was taken, without fades, and of what advance() plays out as it was then. CV_8UC3 BGR.
   [[nodiscard]] virtual cv::Mat draw(const Camera& camera, const SceneState& scene) = 0;
   /// CV_8UC1: 255 where Gaussians of what was taken hide all that lies behind them, the far field's left out. Empty
   /// where it is not known.
   [[nodiscard]] virtual cv::Mat alpha(const Camera& /*camera*/, const SceneState& /*scene*/) { return {}; }
   /// A picture in the window, as coarse as its settings say. `time_s`: of the fades, as RowFeed::take has it.
   virtual void show(Window& window, const Camera& camera, const SceneState& scene, float time_s) = 0;
-  /// Whether the next show() may be another picture though nothing arrives.
-  [[nodiscard]] virtual bool settles(float) const { return false; }
+  /// Whether the next show() may be another picture though nothing arrives: rows fade, or recoloring().
+  [[nodiscard]] virtual bool settles(float /*time_s*/) const { return false; }
+  /// Whether the next draw() may be: other colours are on their way.
+  [[nodiscard]] virtual bool recoloring() const { return false; }
   /// Gaussians that the last picture shows; nullopt where it is not known. Waits for the device.
   [[nodiscard]] virtual std::optional<std::size_t> drawn() const { return std::nullopt; }
   /// Of what there is; nullopt where it is not known.

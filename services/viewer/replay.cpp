@@ -115,7 +115,7 @@ std::uint64_t replay_in_window(LogFeed& feed, Painter& painter, Window& window, 
   stream::Playout playout;
   Pace pace(bus::now_ns());
   std::uint64_t drawn = 0;
-  bool more = true;
+  bool more = true, unsettled = false;
   Camera before;
   while (!stop.stop_requested() && !window.closed()) {
     window.poll_events();
@@ -141,13 +141,16 @@ std::uint64_t replay_in_window(LogFeed& feed, Painter& painter, Window& window, 
     const auto scene = playout.scene();
     window.follow(scene ? *scene : *shown.scene);
     const Camera camera = window.camera();
-    changed = changed || moving || painter.settles(feed.time_s()) || !(camera == before);
+    const float time_s = feed.time_s();
+    const bool settles = painter.settles(time_s);
+    changed = changed || moving || unsettled || settles || !(camera == before);
     if (!changed) {
       window.wait_events(kIdle);
       continue;
     }
     before = camera;
-    painter.show(window, camera, window.settings().applied_to(scene ? *scene : *shown.scene), feed.time_s());
+    unsettled = settles;  // the last one is drawn once all has settled
+    painter.show(window, camera, window.settings().applied_to(scene ? *scene : *shown.scene), time_s);
     ++drawn;
   }
   return drawn;
@@ -165,6 +168,7 @@ std::uint64_t replay(const std::string& log, const Options& options, Device devi
   if (options.window) {
     window = std::make_unique<Window>(CameraPath(options.path).at(options.path.start_s), "splatbus: " + log,
                                       opengl ? Window::For::Splats : Window::For::Pictures);
+    window->save_in(options.out);
   }
   const auto painter =
       opengl ? make_gl_painter(options.window, options.draw) : make_raster_painter(device, options.threads);

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "bus/error.h"
 #include "viewer/web_address.h"
 #include "wire/convert.h"
 
@@ -70,9 +71,17 @@ bool StreamClient::set_budget(std::size_t max_gaussians, std::uint32_t max_kbps)
   options_.max_kbps = max_kbps;
   follower_.set_max_kbps(max_kbps);
   if (max_gaussians == options_.max_gaussians) return false;
+  std::unique_ptr<PacketLink> link;
+  try {
+    link = make_link(options_);
+  } catch (const bus::Error& error) {  // a key that has gone since: no reason to end
+    spdlog::error("the model keeps its size: {}", error.what());
+    return false;
+  }
   options_.max_gaussians = max_gaussians;
   send(follower_.farewell());
-  link_ = make_link(options_);
+  link_ = std::move(link);
+  before_ = {received_bytes(), refused(), lost(), lacked()};
   follower_ = make_follower();
   return true;
 }

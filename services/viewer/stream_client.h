@@ -55,7 +55,7 @@ class StreamClient {
   void send_quality(std::uint64_t probe_id, const metrics::Quality& quality, std::int64_t first_picture_ns);
 
   /// Others than the options'. True when the model is asked for anew, since it is to have another size: replica() is
-  /// another one, and nobody observes it.
+  /// another one, and nobody observes it. Where there is no way to do so that is logged, and the size stays.
   bool set_budget(std::size_t max_gaussians, std::uint32_t max_kbps);
   [[nodiscard]] std::optional<double> round_trip_ms() const { return link_->round_trip_ms(); }
 
@@ -65,10 +65,10 @@ class StreamClient {
   [[nodiscard]] stream::DisplayChanges take_changes() { return follower_.replica().take_changes(); }
   [[nodiscard]] std::optional<ProbeAnswer> take_probe_answer() { return follower_.take_probe_answer(); }
   [[nodiscard]] bool connected() const { return follower_.connected(); }
-  [[nodiscard]] std::uint64_t received_bytes() const { return follower_.received_bytes(); }
-  [[nodiscard]] std::uint64_t refused() const { return follower_.refused(); }
-  [[nodiscard]] std::uint64_t lost() const { return follower_.lost(); }
-  [[nodiscard]] std::uint64_t lacked() const { return follower_.lacked(); }
+  [[nodiscard]] std::uint64_t received_bytes() const { return before_.received_bytes + follower_.received_bytes(); }
+  [[nodiscard]] std::uint64_t refused() const { return before_.refused + follower_.refused(); }
+  [[nodiscard]] std::uint64_t lost() const { return before_.lost + follower_.lost(); }
+  [[nodiscard]] std::uint64_t lacked() const { return before_.lacked + follower_.lacked(); }
   [[nodiscard]] const stream::SceneDelays& scene_delays() const { return follower_.scene_delays(); }
 
   /// For tests: a packet for which it returns true is lost on the way.
@@ -86,7 +86,12 @@ class StreamClient {
   void send_all();
   void send(const stream::EncodedPacket& packet);
 
+  struct Totals {
+    std::uint64_t received_bytes = 0, refused = 0, lost = 0, lacked = 0;
+  };
+
   ClientOptions options_;
+  Totals before_;  ///< of the followers before: counters never go backwards
   std::unique_ptr<PacketLink> link_;
   stream::Follower follower_;
   std::optional<stream::PacketLog> packet_log_;

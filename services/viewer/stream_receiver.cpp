@@ -2,10 +2,13 @@
 
 #include <sys/eventfd.h>
 
+#include <algorithm>
+#include <stdexcept>
 #include <utility>
 
 #include "bus/clock.h"
 #include "bus/error.h"
+#include "viewer/ui/texts.h"
 
 namespace splatbus::viewer {
 
@@ -16,7 +19,10 @@ using namespace std::chrono_literals;
 constexpr std::chrono::milliseconds kLongestPoll = 50ms;  // a client has more to do than to receive
 constexpr std::int64_t kMeasureEveryNs = 250'000'000;
 constexpr std::size_t kMaxScenes = 16;
-constexpr double kMostMissing = 0.02;           // of all pages, in a model that may take the place of one that is seen
+// Of a model that may take the place of one that is seen: of the pages, or of as many Gaussians as were seen or as
+// there is room for. What there is no room for is missing for ever, and over a slow link the rest comes in its time.
+constexpr double kMostMissing = 0.02, kEnough = 0.9;
+constexpr std::int64_t kLongestRenewalNs = 3'000'000'000;
 constexpr std::size_t kMinBatchRows = 1 << 18;  // below that all is not worth its while
 
 }  // namespace
@@ -81,10 +87,11 @@ ReceiverStatus StreamReceiver::measure() {
           .round_trip_ms = client_.round_trip_ms()};
 }
 
-bool StreamReceiver::replaces() {
+bool StreamReceiver::replaces(const Renewal& renewal) const {
   const stream::Replica& replica = client_.replica();
-  const auto pages = static_cast<double>(replica.pages());
-  return pages > 0 && static_cast<double>(replica.missing_pages()) <= kMostMissing * pages;
+  if (replica.count() == 0) return false;
+  if (replica.count() >= renewal.enough || bus::now_ns() >= renewal.until_ns) return true;
+  return static_cast<double>(replica.missing_pages()) <= kMostMissing * static_cast<double>(replica.pages());
 }
 
 void StreamReceiver::hand_over(bool changed) {
@@ -95,12 +102,12 @@ void StreamReceiver::hand_over(bool changed) {
     measured_ns_ = now_ns;
     status = measure();
   }
-  if (renews_ && !replaces()) {
+  if (renews_ && !replaces(*renews_)) {
     const std::scoped_lock lock(mutex_);
     if (status) status_ = *status;
     return;
   }
-  if (std::exchange(renews_, false) && feed_) batch = feed_->everything();
+  if (std::exchange(renews_, std::nullopt) && feed_) batch = feed_->everything();
   stream::DisplayChanges changes = client_.take_changes();
   changed = changed || !changes.empty() || batch;
   const SceneKey key{replica.epoch(), replica.scene_version(), replica.scene_instant().frame};
@@ -185,7 +192,16 @@ void StreamReceiver::post(std::function<void(StreamClient&)> action) {
 void StreamReceiver::set_budget(std::size_t max_gaussians, std::uint32_t max_kbps) {
   post([this, max_gaussians, max_kbps](StreamClient& client) {
     if (!client.set_budget(max_gaussians, max_kbps)) return;
-    renews_ = true;
+    std::size_t shown = 0;
+    {
+      const std::scoped_lock lock(mutex_);
+      shown = shown_.gaussians;
+    }
+    renews_.reset();
+    if (shown > 0) {
+      const auto most = static_cast<double>(std::min(shown, max_gaussians));
+      renews_ = {.enough = static_cast<std::size_t>(kEnough * most), .until_ns = bus::now_ns() + kLongestRenewalNs};
+    }
     scene_key_ = {};
     if (feed_) feed_.emplace(client.replica(), true);
   });
@@ -193,7 +209,10 @@ void StreamReceiver::set_budget(std::size_t max_gaussians, std::uint32_t max_kbp
 
 std::future<ShownModel> StreamReceiver::copy_model() {
   const auto copy = std::make_shared<std::promise<ShownModel>>();
-  post([copy](StreamClient& client) {
+  post([this, copy](StreamClient& client) {
+    if (renews_ || client.replica().count() == 0) {
+      return copy->set_exception(std::make_exception_ptr(std::runtime_error(texts::kNoModel)));
+    }
     copy->set_value({.changes = client.replica().whole(), .scene = client.replica().scene()});
   });
   return copy->get_future();

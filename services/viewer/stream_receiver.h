@@ -63,8 +63,9 @@ class StreamReceiver {
   void send_quality(std::uint64_t probe_id, const metrics::Quality& quality, std::int64_t first_picture_ns);
   [[nodiscard]] std::optional<ProbeAnswer> take_probe_answer();
   [[nodiscard]] ReceiverStatus status() const;
-  /// As StreamClient's. What is shown stays until the model of another size is there.
+  /// As StreamClient's. What is shown stays until most of the model of another size is there, a few seconds at most.
   void set_budget(std::size_t max_gaussians, std::uint32_t max_kbps);
+  /// Of a model that is not here yet it is a std::runtime_error.
   [[nodiscard]] std::future<ShownModel> copy_model();
 
  private:
@@ -73,17 +74,21 @@ class StreamReceiver {
   void wake();
   void do_posted();
   void hand_over(bool changed);
-  /// Whether what is held may take the place of what is shown.
-  [[nodiscard]] bool replaces();
+  /// The model was asked for anew while another one is shown.
+  struct Renewal {
+    std::size_t enough = 0;     ///< Gaussians that may take its place
+    std::int64_t until_ns = 0;  ///< from then on any may
+  };
+  [[nodiscard]] bool replaces(const Renewal& renewal) const;
   [[nodiscard]] ReceiverStatus measure();
 
   using SceneKey = std::tuple<std::uint64_t, std::uint64_t, std::uint64_t>;  // epoch, version, frame
   StreamClient client_;                                                      // the thread's own
   std::int64_t begin_ns_;
-  std::optional<RowFeed> feed_;   // too
-  SceneKey scene_key_{};          // too
-  std::int64_t measured_ns_ = 0;  // too
-  bool renews_ = false;           // too: the model was asked for anew
+  std::optional<RowFeed> feed_;    // too
+  SceneKey scene_key_{};           // too
+  std::int64_t measured_ns_ = 0;   // too
+  std::optional<Renewal> renews_;  // too
   bus::FileDescriptor wake_;
 
   mutable std::mutex mutex_;  // of all below

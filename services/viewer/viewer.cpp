@@ -161,7 +161,8 @@ bool Viewer::show(bool changed) {
   if (shown_.gaussians == 0) return false;
   if (window_ && window_->take_frame_all()) frame_all();
   const float time_s = receiver_.fade_time_s(now_ns);
-  changed = changed || moving || (window_ && painter_->settles(time_s));
+  const bool settles = window_ ? painter_->settles(time_s) : painter_->recoloring();
+  changed = changed || moving || unsettled_ || settles;
   if (!changed && frames_ > 0 && before == camera_) return false;
   const bus::TracedWork work("draw", playout_.shown_ns());
   const std::string& out = options_->out;
@@ -182,6 +183,7 @@ bool Viewer::show(bool changed) {
     first_picture_ns_ = bus::now_ns();
     spdlog::info("first picture, {} Gaussians", shown_.gaussians);
   }
+  unsettled_ = settles;
   if (writes) write_picture(fmt::format("frame_{:06}.png", frames_), picture);
   ++frames_;
   return true;

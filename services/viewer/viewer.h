@@ -87,6 +87,7 @@ class Viewer {
   bus::LogLimiter log_limiter_;
   metrics::Quality last_quality_;
   double draw_ms_ = 0;
+  bool unsettled_ = false;            ///< the last picture was on the way to one that is still to be drawn
   std::optional<ProbeAnswer> probe_;  ///< that is to be answered
 };
 

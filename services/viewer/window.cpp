@@ -43,6 +43,7 @@ struct Window::Impl {
   std::optional<KeptPicture> kept;
   std::string folder;
   bool frame_all = false, settings_changed = false;
+  bool damaged = false;  // by another window that was over it
   std::optional<std::string> save;
   std::int64_t swapped_ns = 0;
   std::array<int, 4> windowed{};  // x, y, width, height before it was full screen
@@ -63,11 +64,8 @@ struct Window::Impl {
     if (which == GLFW_KEY_P) act(Action::Snapshot);
     if (which == GLFW_KEY_V || which == GLFW_KEY_F11) act(Action::FullScreen);
     if (which != GLFW_KEY_ESCAPE || panels->close()) return;
-    if (glfwGetWindowMonitor(window)) {
-      toggle_full_screen();
-    } else {
-      glfwSetWindowShouldClose(window, GLFW_TRUE);
-    }
+    if (glfwGetWindowMonitor(window)) return toggle_full_screen();
+    glfwSetWindowShouldClose(window, GLFW_TRUE);
   }
 
   void act(Action action) {
@@ -104,9 +102,9 @@ struct Window::Impl {
   }
 
   void save_picture() {
-    const cv::Mat picture = kept->read();
-    if (picture.empty()) return panels->say(texts::kNoPicture);
     try {
+      const cv::Mat picture = kept->read();
+      if (picture.empty()) return panels->say(texts::kNoPicture);
       const std::string path = new_file(folder, ".png");
       metrics::write_png(path, picture);
       panels->say(path);
@@ -137,40 +135,41 @@ struct Window::Impl {
     const std::vector<Action> actions = panels->draw(new_picture);
     settings_changed = settings_changed || !(panels->content.settings == before);
     glfwSwapBuffers(window);
+    damaged = false;
     swapped_ns = bus::now_ns();
     for (const Action action : actions) act(action);
   }
 
-  void redraw_panels() {
-    if (!panels->due() || bus::now_ns() - swapped_ns < kRestsNs) return;
+  void redraw() {
+    if (!damaged && (!panels->due() || bus::now_ns() - swapped_ns < kRestsNs)) return;
     const auto [width, height] = size();
     kept->restore(width, height);
     present(false);
   }
 
+  static Impl* of(GLFWwindow* in) { return static_cast<Impl*>(glfwGetWindowUserPointer(in)); }
   void listen();
 };
 
 void Window::Impl::listen() {
-  const auto of = [](GLFWwindow* of_window) { return static_cast<Impl*>(glfwGetWindowUserPointer(of_window)); };
-  static constexpr auto kOf = of;
   glfwSetWindowUserPointer(window, this);
   glfwSetCursorPosCallback(window, [](GLFWwindow* in, double x, double y) {
-    kOf(in)->steering.pointer(x, y);
-    kOf(in)->panels->touch();
+    of(in)->steering.pointer(x, y);
+    of(in)->panels->touch();
   });
   glfwSetMouseButtonCallback(window, [](GLFWwindow* in, int, int action, int) {
-    if (action == GLFW_PRESS) kOf(in)->steering.press(!kOf(in)->panels->wants_mouse());
-    kOf(in)->panels->touch();
+    if (action == GLFW_PRESS) of(in)->steering.press(!of(in)->panels->wants_mouse());
+    of(in)->panels->touch();
   });
   glfwSetScrollCallback(window, [](GLFWwindow* in, double, double notches) {
-    if (!kOf(in)->panels->wants_mouse()) kOf(in)->steering.scroll(notches);
-    kOf(in)->panels->touch();
+    if (!of(in)->panels->wants_mouse()) of(in)->steering.scroll(notches);
+    of(in)->panels->touch();
   });
+  glfwSetWindowRefreshCallback(window, [](GLFWwindow* in) { of(in)->damaged = true; });
   panels.emplace(window);
   glfwSetKeyCallback(window, [](GLFWwindow* in, int key, int scancode, int action, int mods) {
-    kOf(in)->panels->key(key, scancode, action, mods);
-    if (action == GLFW_PRESS) kOf(in)->key(key);
+    of(in)->panels->key(key, scancode, action, mods);
+    if (action == GLFW_PRESS) of(in)->key(key);
   });
 }
 
@@ -211,7 +210,7 @@ Window::~Window() {
 void Window::poll_events() {
   glfwPollEvents();
   impl_->steering.advance(!impl_->panels->wants_keyboard());
-  impl_->redraw_panels();
+  impl_->redraw();
 }
 
 void Window::wait_events(std::chrono::milliseconds most) {

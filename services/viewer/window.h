@@ -30,7 +30,8 @@ class Window {
   Window(const Window&) = delete;
   Window& operator=(const Window&) = delete;
 
-  /// Takes what the person did, and moves the camera on to now. Draws figures and menu anew over a picture that rests.
+  /// Takes what the person did, and moves the camera on to now. Draws a picture that rests anew where figures
+  /// and menu are others, or where another window was over it.
   void poll_events();
   /// Waits for something that the person does, at most so long; for a camera that rests.
   void wait_events(std::chrono::milliseconds most);

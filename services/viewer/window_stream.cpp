@@ -64,7 +64,9 @@ void WindowStream::show_figures(std::int64_t now_ns, const Painter& painter, std
   Figures figures{.held = held, .stream = stream};
   if (held > 0 && window_.shows_figures()) figures.drawn = painter.drawn();
   window_.set_figures(figures);
-  window_.keep_saying(held > 0 ? "" : status.connected ? texts::kWaiting : texts::kConnecting);
+  window_.keep_saying(held == 0          ? status.connected ? texts::kWaiting : texts::kConnecting
+                      : status.connected ? ""
+                                         : texts::kReconnecting);
 }
 
 }  // namespace splatbus::viewer

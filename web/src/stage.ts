@@ -33,6 +33,8 @@ export class Stage {
   #batches: SceneBatch[] = [];
   #order: Uint32Array | null = null;
   #uploadedBefore = 0;
+  /** Gaussians of the last picture. */
+  #shown = 0;
   #stillAt = 0;
   #changedMs = -Infinity;
   readonly #playout = new Playout();
@@ -45,8 +47,8 @@ export class Stage {
 
   constructor(
     private wanted: Api | null,
-    /** Everything is wanted, through this port. */
-    private readonly attach: (port: MessagePort, standing: boolean) => void,
+    /** Everything is wanted, through this port, in place of the Gaussians that are shown. */
+    private readonly attach: (port: MessagePort, shown: number) => void,
     /** As many batches are in what is drawn from now on. */
     private readonly taken: (batches: number) => void,
     private readonly say: (problem: 'lost' | 'found' | { missing: string }) => void,
@@ -117,7 +119,7 @@ export class Stage {
     } else {
       this.#startSorter(port1);
     }
-    this.attach(port2, this.standing);
+    this.attach(port2, this.#shown);
   }
 
   #startSorter(source: MessagePort): void {
@@ -165,7 +167,7 @@ export class Stage {
 
   #takeBatches(renderer: Renderer, nowMs: number): boolean {
     if (this.#batches.length === 0 && !this.#order) return false;
-    for (const { whole, update, colors, scene, time } of this.#batches) {
+    for (const { whole, update, colors, scene, time, shown } of this.#batches) {
       if (whole) renderer.clear();
       if (whole) this.#colors.restart(time.colorsMs);
       if (update.rows.length > 0) this.#changedMs = nowMs;
@@ -173,6 +175,7 @@ export class Stage {
       this.#colors.wrote(update.rows);
       this.#colors.add(colors, time.colorsMs, time.captureMs);
       this.scene = scene;
+      this.#shown = shown;
       this.#playout.add(scene, time);
     }
     this.taken(this.#batches.length);

@@ -1,27 +1,24 @@
-import { addressWith } from './camera/address';
+import { KeptAddress } from './camera/address';
 import { Controls } from './camera/controls';
 import { Player } from './camera/player';
 import { Rig, viewOf } from './camera/rig';
 import { BenchRun } from './bench';
-import { rightsHere } from './download';
 import { Extras } from './extras';
 import { poseFloats, type View } from './math';
-import { Pace, Rate } from './pace';
+import { Pace } from './pace';
 import type { Api } from './render/make_renderer';
 import type { Frame } from './render/renderer';
 import { Stage } from './stage';
+import { Status } from './status';
 import type { ConnectionState, FromStreamWorker, StreamFigures } from './stream/messages';
 import { StreamLink } from './stream/stream_link';
 import { texts } from './texts';
 import { make, button } from './ui/dom';
 import { Menu } from './ui/menu';
-import { Notice, Overlay } from './ui/overlay';
 import { keepSettings, kBackgrounds, kResolutions, type Settings } from './ui/settings';
 import { canImmerse } from './xr/immersion';
 
 const kPoseEveryMs = 50;
-const kAddressEveryMs = 500;
-const kFiguresEveryMs = 250;
 const kSettleMs = 150;
 /** Turns of the display, of which a slow one is longer than that. */
 const kSettleTurns = 3;
@@ -41,26 +38,16 @@ export class Viewer {
   readonly stage: Stage;
   readonly link: StreamLink;
   readonly #controls: Controls;
-  readonly #overlay = new Overlay();
-  readonly #notice = new Notice();
+  readonly #status: Status;
   readonly #menu: Menu;
   readonly #pace = new Pace();
-  readonly #rate = new Rate();
-  /** The last that the stream's worker said. */
-  figures: StreamFigures | null = null;
-  connection: ConnectionState = 'connecting';
-  #retryAtMs = 0;
-  /** Why the server lets nobody in; empty where it does, or is not there. */
-  #refused = '';
-  #graphics = '';
   #lastMs = 0;
   #movedMs = 0;
   #changedMs = 0;
   /** Since something moved. */
   #stillTurns = 0;
   #poseMs = 0;
-  #figuresMs = 0;
-  #addressMs = 0;
+  readonly #address = new KeptAddress();
   #lookedFrom: Float64Array | null = null;
   #drawn = { width: 0, height: 0, resolution: 0 };
   #goal = this.rig.goal;
@@ -86,20 +73,21 @@ export class Viewer {
     this.link = new StreamLink({ socket: options.socket, token: options.token, budget: options.settings.budget });
     this.stage = new Stage(
       options.api,
-      (port, standing) => this.link.send({ kind: 'attach', port, standing }, [port]),
+      (port, shown) => this.link.send({ kind: 'attach', port, shown }, [port]),
       (batches) => this.link.send({ kind: 'taken', batches }),
       (problem) => {
-        this.#graphics = problem === 'found' ? '' : problem === 'lost' ? texts.graphicsLost : texts.graphicsMissing(problem.missing);
+        this.#status.graphics = problem === 'found' ? '' : problem === 'lost' ? texts.graphicsLost : texts.graphicsMissing(problem.missing);
         this.#redraw = true;
       },
     );
+    this.#status = new Status(this.stage, this.#pace, options.token, options.settings);
     this.extras = new Extras(this.stage, this.rig, this.link, options.token, {
       view: () => this.#view(),
       frame: (shown, resolution, nowMs) => this.#frame(shown, resolution, nowMs),
       announce: (shown, nowMs) => this.#announce(shown, nowMs),
       drawn: () => ++this.frames,
       redraw: () => (this.#redraw = true),
-      notice: (text) => this.#notice.pass(text),
+      notice: (text) => this.#status.notice.pass(text),
     });
     this.stage.element.setAttribute('aria-label', texts.picture);
     this.#controls = new Controls(this.stage.element, this.rig);
@@ -109,7 +97,7 @@ export class Viewer {
       fullScreen: () => this.extras.toggleFullScreen(),
       snapshot: () => void this.extras.saveSnapshot(),
       share: () => void this.extras.share(),
-      figures: () => this.#overlay.toggle(),
+      figures: () => this.#status.overlay.toggle(),
       compare: () => this.#compare(),
       follow: () => this.#follow(),
       immerse: () => void this.extras.immerse(),
@@ -118,10 +106,18 @@ export class Viewer {
     });
     const bar = make('div', { class: 'bar' }, button(texts.menu, () => this.#menu.toggle()));
     void canImmerse().then((can) => can && this.#menu.offerImmersion());
-    root.append(this.stage.element, this.extras.comparison.element, this.#overlay.element, this.#controls.stick.element, bar, this.#menu.element, this.#notice.element);
+    root.append(this.stage.element, this.extras.comparison.element, this.#status.overlay.element, this.#controls.stick.element, bar, this.#menu.element, this.#status.notice.element);
     addEventListener('keydown', (event) => this.#key(event));
     this.link.onMessage = (message) => this.#hear(message);
     this.link.onStarted = () => this.stage.feed();
+  }
+
+  /** The last that the stream's worker said. */
+  get figures(): StreamFigures | null {
+    return this.#status.figures;
+  }
+  get connection(): ConnectionState {
+    return this.#status.connection;
   }
 
   start(): void {
@@ -164,20 +160,15 @@ export class Viewer {
     this.#announce(view, nowMs);
     this.#draw(view, nowMs);
     this.extras.comparison.advance(nowMs, view, this.stage.standing && nowMs - this.#movedMs > kSettleMs);
-    if (nowMs - this.#figuresMs > kFiguresEveryMs) {
-      this.#figuresMs = nowMs;
-      this.#showFigures(nowMs);
+    if (this.#status.show(nowMs, this.#drawn.resolution, this.#bench.text(nowMs / 1000))) {
+      this.#menu.offerPlayer(this.stage.scene.player > 0, this.#player.following);
     }
-    if (this.#steered && !this.#bench.flying && nowMs - this.#addressMs > kAddressEveryMs && nowMs - this.#movedMs > kSettleMs) {
-      this.#addressMs = nowMs;
-      const address = addressWith(new URL(location.href), this.rig.goal);
-      if (address !== location.href) history.replaceState(null, '', address);
-    }
+    if (this.#steered && !this.#bench.flying && nowMs - this.#movedMs > kSettleMs) this.#address.keep(nowMs, this.rig.goal);
   }
 
   #follow(): void {
-    if (!this.#player.toggle(this.stage.scene)) this.#notice.pass(texts.noPlayer);
-    else if (this.#player.following) this.#notice.pass(texts.following);
+    if (!this.#player.toggle(this.stage.scene)) this.#status.notice.pass(texts.noPlayer);
+    else if (this.#player.following) this.#status.notice.pass(texts.following);
   }
 
   #view(): View {
@@ -238,9 +229,8 @@ export class Viewer {
   }
 
   #hear(message: FromStreamWorker): void {
+    this.#status.hear(message);
     if (message.kind === 'figures') {
-      this.figures = message.figures;
-      this.#rate.add(message.figures.atMs, message.figures.bytes);
       const unframed = !this.#framed && !this.#steered;
       const flies = this.#bench.asked && this.stage.standing && message.figures.missing === 0;
       if (message.figures.gaussians > 0 && (unframed || flies)) {
@@ -252,19 +242,7 @@ export class Viewer {
       this.#showAll(message.centre, message.radius);
     } else if (message.kind === 'picture') {
       void this.extras.comparison.hear(message.picture);
-    } else if (message.kind === 'connection') {
-      this.connection = message.state;
-      this.#retryAtMs = message.state === 'waiting' ? performance.now() + 1000 * message.retryS : 0;
-      if (message.state === 'waiting') void this.#askWhy();
-      if (message.state === 'open') this.#refused = '';
     }
-  }
-
-  /** A WebSocket does not say why it was not opened. */
-  async #askWhy(): Promise<void> {
-    const here = await rightsHere(this.options.token);
-    const refused = this.options.token ? texts.tokenRefused : texts.tokenMissing;
-    this.#refused = here === 'refused' ? refused : '';
   }
 
   #showAll(centre: [number, number, number], radius: number): void {
@@ -286,36 +264,6 @@ export class Viewer {
       sortMs: this.stage.sortMs ?? 0,
       browser: navigator.userAgent,
     };
-  }
-
-  #showFigures(nowMs: number): void {
-    const figures = this.figures;
-    const known = (value: number | undefined, show: (value: number) => string): string =>
-      value === undefined || value < 0 ? texts.unknown : show(value);
-    const moving = this.#pace.frameMs > 0 && !this.#pace.restsAt(nowMs);
-    const connection = this.connection === 'open' ? texts.connected : texts.connecting;
-    const waiting = Math.max(0, (this.#retryAtMs - nowMs) / 1000);
-    this.#overlay.show({
-      frames: moving ? this.#pace.framesPerSecond.toFixed(0) : texts.rows.atRest,
-      frame: moving ? texts.ms(this.#pace.frameMs) : texts.unknown,
-      sort: this.stage.sortMs === null ? texts.unknown : texts.ms(this.stage.sortMs),
-      gaussians: known(figures?.gaussians, (n) => n.toLocaleString('en')),
-      rate: texts.rate(this.#rate.megabits, this.options.settings.budget.megabits),
-      roundTrip: known(figures?.roundTripMs, texts.ms),
-      age: known(figures?.ageMs, texts.ms),
-      missing: known(figures?.missing, texts.pages),
-      uploaded: this.stage.uploadedRows.toLocaleString('en'),
-      resolution: this.#drawn.resolution > 0 ? `${Math.round(100 * this.#drawn.resolution)} %` : texts.unknown,
-      drawnBy: this.stage.renderer ? texts.apis[this.stage.renderer.api] : texts.unknown,
-      connection: this.#retryAtMs > 0 ? texts.lost : connection,
-    });
-    const problem =
-      this.#graphics ||
-      (this.#retryAtMs > 0 ? this.#refused || texts.reconnecting(waiting) : '') ||
-      this.#bench.text(nowMs / 1000) ||
-      (this.stage.standing ? '' : this.connection === 'open' ? texts.waitingForScene : texts.connecting);
-    this.#notice.keep(problem);
-    this.#menu.offerPlayer(this.stage.scene.player > 0, this.#player.following);
   }
 
   #settingsChanged(): void {
@@ -342,7 +290,7 @@ export class Viewer {
       KeyC: () => this.#compare(),
       KeyF: () => this.frameAll(),
       KeyG: () => this.#follow(),
-      KeyI: () => this.#overlay.toggle(),
+      KeyI: () => this.#status.overlay.toggle(),
       KeyM: () => this.#menu.toggle(),
       KeyP: () => void this.extras.saveSnapshot(),
       KeyV: () => this.extras.toggleFullScreen(),

@@ -149,6 +149,32 @@ test('without a clock, of another engine, and where too many wait nothing is wai
   assert.ok(many.holder.recolored >= 60, `${many.holder.recolored} recolored`);
 });
 
+test('no colors are of a later scene than the newest', () => {
+  const { playout, at, add } = begun();
+  add({ 0: 200 }, 90_000, 1100);
+  assert.equal(at(1050), 150);
+  assert.equal(at(1100), 200);
+  assert.ok(!playout.moving);
+  playout.restart(90_000);
+  add({}, 90_000, 1200);
+  assert.equal(at(1190), 200);
+  add({ 0: 300 }, 1300);
+  assert.equal(at(1200), 200);
+  assert.equal(at(1250), 250);
+});
+
+test('no more rows wait than that in all', () => {
+  const holder = new Holder();
+  const playout = new ColorPlayout(5);
+  playout.restart(1000);
+  playout.advance(980, holder);
+  for (let k = 1; k <= 5; ++k) playout.add(update({ 0: 200, 1: 300 }), 1000 + k, 1000 + k);
+  playout.advance(990, holder);
+  assert.equal(holder.recolored, 6, 'four of ten wait on');
+  playout.advance(1005, holder);
+  assert.equal(holder.recolored, 10);
+});
+
 test('a turning sun is seen in even steps, where objects are seen', () => {
   // Six scenes a second, 20 to 30 ms late, their colors as much later again; a color is the time that it is of.
   const playout = new Playout();

@@ -63,31 +63,41 @@ test('the engine\'s own picture is compared with the splats', async () => {
 
 test('twenty pages at once', async () => {
   // Twenty of a page's stream workers: twenty tabs that draw by software take a machine of two cores minutes.
-  const rows = await page.evaluate(async () => {
+  const all = await page.evaluate(async () => {
     const follow = () =>
       new Promise((resolve, reject) => {
         const worker = new Worker('stream_worker.js', { type: 'module' });
         const { port1, port2 } = new MessageChannel();
         let rows = 0;
+        let last = null; // figures
+        let after = null; // message
+        let [openedMs, wholeMs] = [Infinity, Infinity]; // after the figures before
         port1.onmessage = ({ data }) => {
           rows += data.update.rows.length;
           worker.postMessage({ kind: 'taken', batches: 1 });
         };
         worker.onerror = () => reject(new Error('a worker died'));
         worker.onmessage = ({ data }) => {
+          const before = after;
+          after = data.kind;
           if (data.kind !== 'figures') return;
-          const { gaussians, missing } = data.figures;
+          const { gaussians, missing, epoch, atMs } = data.figures;
+          if (last && before === 'connection' && missing < 0 && epoch === last.epoch) openedMs = Math.min(openedMs, atMs - last.atMs);
+          if (last && gaussians > 0 && missing === 0 && last.missing !== 0) wholeMs = Math.min(wholeMs, atMs - last.atMs);
+          last = data.figures;
           if (gaussians < 1000 || missing > 0 || rows < gaussians / 2) return;
           worker.terminate();
-          resolve(rows);
+          resolve({ rows, openedMs, wholeMs });
         };
         const socket = new URL('stream', location.href.replace('http', 'ws')).href;
         worker.postMessage({ kind: 'start', socket, token: null, clockOriginMs: performance.timeOrigin, budget: { gaussians: 1e6 } });
-        worker.postMessage({ kind: 'attach', port: port2, standing: false }, [port2]);
+        worker.postMessage({ kind: 'attach', port: port2, shown: 0 }, [port2]);
       });
     return Promise.all(Array.from({ length: 20 }, follow));
   });
-  assert.equal(rows.length, 20);
+  assert.equal(all.length, 20);
+  // What is said now and then comes 250 ms after the last at least.
+  for (const news of ['openedMs', 'wholeMs']) assert.ok(all.some((one) => one[news] < 250), `it is said at once: ${news} ${all.map((one) => one[news])}`);
   // The twenty-first has gone on.
   await standsUntil((now, then) => now.sequence > then, (await figures()).sequence);
 });

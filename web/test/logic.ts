@@ -8,5 +8,6 @@ export { randomNumbers } from './page/synthetic_scene';
 export { ColorPlayout } from '../src/motion/color_playout';
 export { Playout } from '../src/motion/playout';
 export { Pace, Rate } from '../src/pace';
+export { FiguresDue } from '../src/stream/figures_due';
 export { Publisher } from '../src/stream/publisher';
 export { RowMirror } from '../src/stream/row_mirror';

@@ -13,11 +13,11 @@ const pageOf = (api) => kPage.replace('#', `?gpu=${api}#`);
 /** A still is kept of the picture at rest. */
 const settled = (page) => page.waitForFunction(() => document.querySelector('.still').naturalWidth > 300 && document.querySelector('[data-figure=frames]').textContent === 'at rest');
 /** All rows have been uploaded so many times, and are drawn. */
-const uploaded = (page, times) =>
+const uploaded = (page, times, count = 3000) =>
   page.waitForFunction((rows) => {
     const { stage } = window.splatbus;
     return stage.renderer && stage.uploadedRows === rows && !stage.element.querySelector('canvas:not(.still)').hidden;
-  }, 3000 * times);
+  }, count * times);
 const leastColors = (pictures) => Math.min(...pictures.map((picture) => colorsIn(readPng(picture), kMiddle)));
 
 for (const api of kApis) {
@@ -89,3 +89,17 @@ test('a stream worker that dies is started again, and the picture stands', () =>
     await uploaded(page, 2);
     assert.ok(leastColors(await film()) > kColors);
   }));
+
+test('a page that has room for a part of the model gets that part back, from another device and another worker', () =>
+  opened(
+    pageOf('webgl2'),
+    async (page) => {
+      await uploaded(page, 1, 2000);
+      await page.evaluate(() => window.splatbus.stage.renderer.dispose());
+      await uploaded(page, 2, 2000);
+      await page.evaluate(() => window.splatbus.link.kill());
+      await uploaded(page, 3, 2000);
+      assert.ok((await shownColors(page)) > kColors);
+    },
+    { init: () => localStorage.setItem('splatbus.settings', JSON.stringify({ budget: { gaussians: 2000 } })) },
+  ));

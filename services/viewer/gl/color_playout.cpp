@@ -14,6 +14,7 @@ constexpr std::int64_t kGap_ns = 250'000'000;
 
 void ColorPlayout::restart(std::int64_t of_ns) {
   waiting_.clear();
+  waiting_rows_ = 0;
   from_ns_ = to_ns_ = std::max<std::int64_t>(of_ns, 0);
   part_ = 1;
 }
@@ -28,14 +29,19 @@ void ColorPlayout::add(const ColorUpdate& colors, std::int64_t of_ns, std::int64
     to_ns_ = 0;
   }
   scene_ns_ = scene_ns;
+  // Of a later one they would be on their way for ever.
+  of_ns = std::min(of_ns, scene_ns);
+  to_ns_ = std::min(to_ns_, scene_ns);
   if (colors.rows.empty()) return;
+  waiting_rows_ += colors.rows.size();
   const auto after =
       std::find_if(waiting_.begin(), waiting_.end(), [&](const Waiting& other) { return other.of_ns > of_ns; });
   waiting_.insert(after, {.colors = colors, .of_ns = of_ns, .came_ns = shown_ns_, .sequence = ++sequence_});
 }
 
 bool ColorPlayout::is_due(const Waiting& next, std::int64_t shown_ns) const {
-  return shown_ns == 0 || next.of_ns <= to_ns_ || shown_ns >= to_ns_ || waiting_.size() > kMostWaiting;
+  return shown_ns == 0 || next.of_ns <= to_ns_ || shown_ns >= to_ns_ || waiting_.size() > kMostWaiting ||
+         waiting_rows_ > most_rows_;
 }
 
 void ColorPlayout::advance(std::int64_t shown_ns, RowStore& rows) {
@@ -43,6 +49,7 @@ void ColorPlayout::advance(std::int64_t shown_ns, RowStore& rows) {
   while (!waiting_.empty() && is_due(waiting_.front(), shown_ns)) {
     Waiting next = std::move(waiting_.front());
     waiting_.erase(waiting_.begin());
+    waiting_rows_ -= next.colors.rows.size();
     if (next.of_ns > to_ns_) {
       rows.keep_colors();
       // Who comes too late for all of the way takes what is left of it.

@@ -15,14 +15,18 @@ namespace splatbus::viewer::gl {
 /// of the engine's clock, 0 where nobody knows. As the page's (web/src/motion/color_playout.ts).
 class ColorPlayout {
  public:
-  /// Updates that wait for their time; where there are more the oldest begins at once.
+  /// Updates that wait for their time, and rows of all of them; where there are more the oldest begins at once.
   static constexpr std::size_t kMostWaiting = 32;
+  static constexpr std::size_t kMostRows = std::size_t{1} << 24;  ///< 128 MiB
+
+  explicit ColorPlayout(std::size_t most_rows = kMostRows) : most_rows_(most_rows) {}
 
   /// All rows are new, with colors of this time.
   void restart(std::int64_t of_ns);
   /// Rows were written with newer colors than any that wait.
   void wrote(std::span<const std::uint32_t> rows);
-  /// `scene_ns`: of the newest scene. Nobody knows when that was of which the time is 0: it is shown at once.
+  /// `scene_ns`: of the newest scene; none are of a later one. Nobody knows when that was of which the time is 0: it is
+  /// shown at once.
   void add(const ColorUpdate& colors, std::int64_t of_ns, std::int64_t scene_ns);
 
   /// Goes on to what was at this time; 0: to the newest that there is.
@@ -44,7 +48,9 @@ class ColorPlayout {
   /// Leaves out the rows that have newer colors.
   void keep_newer(Waiting& waiting) const;
 
+  std::size_t most_rows_;
   std::vector<Waiting> waiting_;        ///< by of_ns, those of one time as they came
+  std::size_t waiting_rows_ = 0;        ///< of all of them
   std::vector<std::uint64_t> written_;  ///< by row, sequence of what wrote it, where something older waits
   std::uint64_t sequence_ = 0;
   std::int64_t from_ns_ = 0, to_ns_ = 0, scene_ns_ = 0, shown_ns_ = 0;

@@ -9,6 +9,7 @@ KeptPicture::~KeptPicture() {
 }
 
 void KeptPicture::keep(int width, int height) {
+  if (width <= 0 || height <= 0) return;
   if (texture_ == 0) {
     glGenTextures(1, &texture_);
     glGenFramebuffers(1, &framebuffer_);

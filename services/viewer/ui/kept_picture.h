@@ -15,7 +15,7 @@ class KeptPicture {
   KeptPicture(const KeptPicture&) = delete;
   KeptPicture& operator=(const KeptPicture&) = delete;
 
-  /// Framebuffer 0, of that size.
+  /// Framebuffer 0, of that size; where it has no pixels, as of a window that is put away, what was kept stays.
   void keep(int width, int height);
   /// Into framebuffer 0, stretched to that size; black where nothing was kept.
   void restore(int width, int height) const;

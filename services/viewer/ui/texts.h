@@ -59,7 +59,9 @@ inline constexpr const char* kFollowing = "Following the player. Any other movem
 inline constexpr const char* kNoPlayer = "The engine offers no player to follow.";
 inline constexpr const char* kSaving = "The model is being saved.";
 inline constexpr const char* kStillSaving = "The model is still being saved.";
+inline constexpr const char* kNoModel = "The model is not here yet.";
 inline constexpr const char* kNoPicture = "There is no picture yet.";
+inline constexpr const char* kReconnecting = "No connection. Trying again.";
 inline constexpr const char* kWaiting = "Connected. Waiting for the first of the scene.";
 
 }  // namespace splatbus::viewer::texts

@@ -78,5 +78,18 @@ TEST_F(ColorTimesTest, AreOfTheLastSceneBeforeWhereOneWasNotSeen) {
   EXPECT_EQ(taken(), 2000);
 }
 
+TEST_F(ColorTimesTest, OfAnEngineWhoseClockIsBehindAreNotTheOthers) {
+  send_scene(5000);
+  send_visibility(2);
+  EXPECT_EQ(taken(), 5000);
+  send_scene(1000);
+  EXPECT_EQ(taken(), 1000);
+  EXPECT_EQ(taken(), 1000) << "visibility is of the engine before";
+  send_scene(2000);
+  send_visibility(3);
+  EXPECT_EQ(taken(), 2000);
+  EXPECT_EQ(taken(), 1000);
+}
+
 }  // namespace
 }  // namespace splatbus::stream

@@ -38,3 +38,18 @@ export function addressWith(url: URL, pose: Pose | null): string {
   next.hash = hash.toString().replaceAll('%2C', ',');
   return next.href;
 }
+
+const kKeptEveryMs = 500;
+
+/** The page's own address has the view. */
+export class KeptAddress {
+  #keptMs = 0;
+
+  /** May be called at any time. */
+  keep(nowMs: number, pose: Pose): void {
+    if (nowMs - this.#keptMs <= kKeptEveryMs) return;
+    this.#keptMs = nowMs;
+    const address = addressWith(new URL(location.href), pose);
+    if (address !== location.href) history.replaceState(null, '', address);
+  }
+}

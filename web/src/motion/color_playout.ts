@@ -2,8 +2,9 @@ import { grown } from '../growing';
 import { clamp } from '../math';
 import type { ColorUpdate } from '../records';
 
-/** Updates that wait for their time; where there are more the oldest begins at once. */
+/** Updates that wait for their time, and rows of all of them; where there are more the oldest begins at once. */
 const kMostWaiting = 32;
+const kMostRows = 1 << 24; // 128 MiB
 /** Time that goes on by more than this at once was not shown in between. */
 const kGapMs = 250;
 
@@ -32,6 +33,8 @@ interface Waiting {
 export class ColorPlayout {
   /** By ofMs, those of one time as they came. */
   #waiting: Waiting[] = [];
+  /** Of all that wait. */
+  #waitingRows = 0;
   #sequence = 0;
   /** By row, the sequence of what it was written by, where something older waits. */
   #written = new Uint32Array(0);
@@ -41,9 +44,12 @@ export class ColorPlayout {
   #shownMs = -Infinity;
   #part = 1;
 
+  constructor(private readonly mostRows = kMostRows) {}
+
   /** All rows are new, with colors of this time. */
   restart(ofMs: number): void {
     this.#waiting = [];
+    this.#waitingRows = 0;
     this.#fromMs = this.#toMs = known(ofMs);
     this.#part = 1;
   }
@@ -53,15 +59,18 @@ export class ColorPlayout {
     this.#stamp(rows, ++this.#sequence);
   }
 
-  /** `sceneMs`: of the newest scene. Nobody knows when that was of which the time is not above 0: it is shown at once. */
+  /** `sceneMs`: of the newest scene; none are of a later one. Nobody knows when that was of which the time is not above 0: it is shown at once. */
   add(colors: ColorUpdate, ofMs: number, sceneMs: number): void {
     if (sceneMs < this.#sceneMs) {
       for (const other of this.#waiting) other.ofMs = -Infinity; // of another engine, by another clock
       this.#toMs = -Infinity;
     }
     this.#sceneMs = sceneMs;
+    // Of a later one they would be on their way for ever.
+    this.#toMs = Math.min(this.#toMs, known(sceneMs));
     if (colors.rows.length === 0) return;
-    const added = { colors, ofMs: known(ofMs), cameMs: this.#shownMs, sequence: ++this.#sequence };
+    const added = { colors, ofMs: known(Math.min(ofMs, sceneMs)), cameMs: this.#shownMs, sequence: ++this.#sequence };
+    this.#waitingRows += colors.rows.length;
     const after = this.#waiting.findIndex((other) => other.ofMs > added.ofMs);
     this.#waiting.splice(after < 0 ? this.#waiting.length : after, 0, added);
   }
@@ -73,6 +82,7 @@ export class ColorPlayout {
     let any = false;
     for (let next = this.#waiting[0]; next && this.#isDue(next, shownMs); next = this.#waiting[0]) {
       this.#waiting.shift();
+      this.#waitingRows -= next.colors.rows.length;
       if (next.ofMs > this.#toMs) {
         holder.keepColors();
         // Who comes too late for all of the way takes what is left of it.
@@ -100,7 +110,8 @@ export class ColorPlayout {
   }
 
   #isDue({ ofMs }: Waiting, shownMs: number | null): boolean {
-    return shownMs === null || ofMs <= this.#toMs || shownMs >= this.#toMs || this.#waiting.length > kMostWaiting;
+    const tooMany = this.#waiting.length > kMostWaiting || this.#waitingRows > this.mostRows;
+    return shownMs === null || ofMs <= this.#toMs || shownMs >= this.#toMs || tooMany;
   }
 
   #stamp(rows: Uint32Array, sequence: number): void {

@@ -9,6 +9,8 @@ export interface SceneBatch {
   readonly colors: ColorUpdate;
   readonly scene: Scene;
   readonly time: SceneTime;
+  /** Gaussians there are with it. */
+  readonly shown: number;
 }
 
 /** What a page asks the streamer not to exceed. */
@@ -33,9 +35,9 @@ export type ToStreamWorker =
   | { kind: 'start'; socket: string; token: string | null; clockOriginMs: number; budget: Budget }
   /**
    * Whoever holds the other end gets everything, then what changes; whoever had a port before gets no more. If a picture
-   * stands already nothing is sent until there is a whole model to replace it.
+   * of `shown` Gaussians stands already nothing is sent until there is enough to replace it: see Publisher.
    */
-  | { kind: 'attach'; port: MessagePort; standing: boolean }
+  | { kind: 'attach'; port: MessagePort; shown: number }
   /** As many batches have been drawn. */
   | { kind: 'taken'; batches: number }
   /** view_from_world row-major 4x4, fx, fy, cx, cy, width, height. */

@@ -15,6 +15,10 @@ const sameScene = (a: Scene, b: Scene): boolean =>
 
 /** Batches that may be on their way: one is drawn while the next is sorted. */
 const kMostUnderWay = 2;
+/** Of what a picture shows that stands, or of what there is room for: what has as much may take its place. */
+const kEnough = 0.9;
+/** Longer than this nothing that is there waits to take the place of a picture that stands. */
+const kPatienceS = 5;
 
 /** Gives rows to whoever draws them: everything to begin with, then what changes. */
 export class Publisher {
@@ -22,20 +26,28 @@ export class Publisher {
   #port: MessagePort | null = null;
   #begun = false;
   #underWay = 0;
-  #standing = false;
+  /** Gaussians of the picture that stands. */
+  #shown = 0;
+  /** Since when there is something to take its place. */
+  #heldS: number | null = null;
   #scene = kNoScene;
   #time: SceneTime = { captureMs: 0, arrivedMs: 0, colorsMs: 0 };
   #complete = false;
 
-  /** `nowS`: the clock of RowUpdate.fades. */
-  constructor(private readonly nowS: () => number) {}
+  /** `nowS`: the clock of RowUpdate.fades; `budget`: Gaussians that are asked for at most. */
+  constructor(
+    private readonly nowS: () => number,
+    private readonly budget: number,
+  ) {}
 
-  attach(port: MessagePort, standing: boolean): void {
+  /** `shown`: Gaussians of the picture that stands; 0: there is none. */
+  attach(port: MessagePort, shown: number): void {
     this.#port?.close();
     this.#port = port;
     this.#begun = false;
     this.#underWay = 0;
-    this.#standing = standing;
+    this.#shown = shown;
+    this.#heldS = null;
     this.#begin();
   }
 
@@ -61,9 +73,10 @@ export class Publisher {
     else if (!same || changed.rows.length > 0 || colors.rows.length > 0) this.#send(false, update, colors);
   }
 
-  /** To be called now and then: what has faded away becomes free. */
+  /** To be called now and then: what has faded away becomes free, and nothing waits for ever. */
   tidy(): void {
     if (!this.ready) return;
+    if (!this.#begun) this.#begin();
     const update = this.#mirror.takeVanished(this.nowS());
     if (update && this.#begun) this.#send(false, update, noColors());
   }
@@ -72,11 +85,19 @@ export class Publisher {
     return this.#mirror.bounds(this.#scene);
   }
 
+  /** Of a model beyond the budget the rest never comes. */
+  #replaces(): boolean {
+    const held = this.#mirror.count;
+    if (held === 0) return this.#shown === 0;
+    this.#heldS ??= this.nowS();
+    return this.#complete || held >= kEnough * Math.min(this.budget, this.#shown) || this.nowS() - this.#heldS >= kPatienceS;
+  }
+
   #begin(): void {
-    if (!this.#port || (this.#standing && !this.#complete)) return;
+    if (!this.#port || !this.#replaces()) return;
     const update = this.#mirror.everything();
     if (update.rows.length === 0) return;
-    if (this.#standing) update.fades.fill(kNoFade); // it takes the place of one that is seen
+    if (this.#shown > 0) update.fades.fill(kNoFade); // it takes the place of one that is seen
     this.#begun = true;
     this.#send(true, update, noColors());
   }
@@ -85,7 +106,7 @@ export class Publisher {
     ++this.#underWay;
     const copied = { rows: colors.rows.slice(), colors: colors.colors.slice() };
     const scene = { ...this.#scene, transforms: this.#scene.transforms.slice() };
-    const batch = { whole, update, colors: copied, scene, time: this.#time };
+    const batch = { whole, update, colors: copied, scene, time: this.#time, shown: this.#mirror.count };
     this.#port?.postMessage(batch, transfersOf(batch));
   }
 }

@@ -20,6 +20,7 @@ export class RowMirror {
   #fades = new Float32Array(0);
   #used = 0;
   #vanishing: { row: number; sinceS: number }[] = [];
+  #count = 0;
 
   /** Takes rows as the model has them; what vanishes is kept until it has faded. */
   take({ rows, records, harmonics }: ChangedRows, nowS: number): RowUpdate {
@@ -37,6 +38,7 @@ export class RowMirror {
     rows.forEach((row, index) => {
       const wasThere = opacityOf(this.#records, row) > 0 && this.#fades[row] >= 0;
       const isThere = opacityOf(records, index) > 0;
+      this.#count += Number(isThere) - Number(wasThere);
       if (wasThere && !isThere) {
         this.#copyOut(row, update, index);
         this.#fades[row] = -nowS;
@@ -70,6 +72,11 @@ export class RowMirror {
       this.#fades[row] = kNoFade;
     }
     return { ...this.#nothing(rows.length), rows };
+  }
+
+  /** Rows that are there, without those that vanish. */
+  get count(): number {
+    return this.#count;
   }
 
   get bytes(): number {

@@ -1,11 +1,11 @@
 // Follows the stream: bytes from the WebSocket into the WebAssembly module, rows out of it to whoever draws them.
 import { Connection } from './connection';
+import { FiguresDue } from './figures_due';
 import type { FromStreamWorker, StreamFigures, ToStreamWorker, WorkerScope } from './messages';
 import { Publisher } from './publisher';
 import { Follower, loadWasm, type FollowerStats } from './wasm';
 
 const kWatchMs = 50;
-const kFiguresMs = 250;
 const kRoundTripMs = 2000;
 /** Of all pages, in a model that may take the place of one that is seen. */
 const kMostMissing = 0.02;
@@ -25,7 +25,7 @@ class Stream {
   readonly #aheadMs: number;
   #due = false;
   #shownVersion = -1;
-  #figuresMs = 0;
+  readonly #figuresDue = new FiguresDue();
   #warned = 0;
   #roundTripMs = -1;
   readonly #turn = new MessageChannel();
@@ -34,14 +34,18 @@ class Stream {
     this.#follower = new Follower(wasm, 'page', start.budget.gaussians, performance.now());
     this.#follower.setMaxKbps(1000 * start.budget.megabits);
     this.#aheadMs = performance.timeOrigin - start.clockOriginMs;
-    this.#publisher = new Publisher(() => (performance.now() + this.#aheadMs) / 1000);
+    this.#publisher = new Publisher(() => (performance.now() + this.#aheadMs) / 1000, start.budget.gaussians);
     this.#connection = new Connection(start.socket, start.token, {
       opened: () => {
         this.#follower.restart();
         this.#speak();
       },
       message: (bytes) => this.#hear(bytes),
-      state: (state, retryS) => scope.postMessage({ kind: 'connection', state, retryS }),
+      state: (state, retryS) => {
+        scope.postMessage({ kind: 'connection', state, retryS });
+        this.#figuresDue.hurry();
+        this.#tell(this.#follower.stats);
+      },
     });
     this.#turn.port1.onmessage = () => this.#publish();
     this.#connection.start();
@@ -52,7 +56,7 @@ class Stream {
   take(message: Exclude<ToStreamWorker, { kind: 'start' }>): void {
     switch (message.kind) {
       case 'attach':
-        this.#publisher.attach(message.port, message.standing);
+        this.#publisher.attach(message.port, message.shown);
         break;
       case 'taken':
         for (let i = 0; i < message.batches; ++i) this.#publisher.taken();
@@ -110,14 +114,18 @@ class Stream {
 
   #publish(): void {
     this.#due = false;
-    if (!this.#publisher.ready) return;
     const follower = this.#follower;
+    if (!this.#publisher.ready) {
+      this.#tell(follower.stats);
+      return;
+    }
     const changed = follower.takeChanges(kMostRows);
     const [rows, records] = [changed.rows.slice(), changed.records.slice()];
     const harmonics = changed.harmonics && { words: changed.harmonics.words, values: changed.harmonics.values.slice() };
     const recolored = follower.takeColors(kMostRows);
     const colors = { rows: recolored.rows.slice(), colors: recolored.colors.slice() };
     const stats = follower.stats;
+    this.#tell(stats);
     if (rows.length === 0 && colors.rows.length === 0 && stats.sceneVersion === this.#shownVersion) return;
     this.#shownVersion = stats.sceneVersion;
     const scene = {
@@ -137,10 +145,12 @@ class Stream {
     this.#connection.watch();
     this.#speak();
     this.#publisher.tidy();
-    const nowMs = performance.now();
-    if (nowMs - this.#figuresMs < kFiguresMs) return;
-    this.#figuresMs = nowMs;
-    scope.postMessage({ kind: 'figures', figures: this.#figures(nowMs) });
+    this.#tell(this.#follower.stats);
+  }
+
+  #tell(stats: FollowerStats): void {
+    const figures = this.#figures(stats, performance.now());
+    if (this.#figuresDue.take(figures)) scope.postMessage({ kind: 'figures', figures });
   }
 
   /** To the gateway and back, by a request that costs it nothing. */
@@ -151,15 +161,14 @@ class Stream {
     this.#roundTripMs = answer ? performance.now() - start : -1;
   }
 
-  #figures(nowMs: number): StreamFigures {
-    const stats = this.#follower.stats;
+  #figures(stats: FollowerStats, nowMs: number): StreamFigures {
     return {
       atMs: nowMs,
       gaussians: stats.gaussians,
       sequence: stats.sequence,
       epoch: stats.epoch,
       sceneVersion: stats.sceneVersion,
-      missing: stats.missingPages,
+      missing: stats.pages > 0 ? stats.missingPages : -1,
       bytes: stats.bytesIn,
       ageMs: stats.sceneArrivedMs > 0 ? nowMs - stats.sceneArrivedMs : -1,
       roundTripMs: this.#roundTripMs,

@@ -12,7 +12,7 @@ const kUntimed = { captureMs: 0, arrivedMs: 0, colorsMs: 0 };
 let time = kUntimed;
 const noColors = { rows: new Uint32Array(0), colors: new Uint32Array(0) };
 let clockOriginMs = performance.timeOrigin;
-const publisher = new Publisher(() => (performance.timeOrigin + performance.now() - clockOriginMs) / 1000);
+let publisher: Publisher;
 let poses = 0;
 
 const figures = (): StreamFigures => ({
@@ -65,10 +65,14 @@ const asked = new BroadcastChannel('asked');
 scope.onmessage = ({ data }) => {
   if (data.kind === 'start') {
     clockOriginMs = data.clockOriginMs;
-    publisher.publish({ rows: Uint32Array.from(scene.gaussians, (_, row) => row), records: scene.records }, noColors, state, kUntimed, true);
+    publisher = new Publisher(() => (performance.timeOrigin + performance.now() - clockOriginMs) / 1000, data.budget.gaussians);
+    // What there is no room for never comes.
+    const count = Math.min(scene.gaussians.length, data.budget.gaussians);
+    const rows = Uint32Array.from({ length: count }, (_, row) => row);
+    publisher.publish({ rows, records: scene.records.slice(0, 8 * count) }, noColors, state, kUntimed, count === scene.gaussians.length);
     scope.postMessage({ kind: 'connection', state: 'open', retryS: 0 });
   } else if (data.kind === 'attach') {
-    publisher.attach(data.port, data.standing);
+    publisher.attach(data.port, data.shown);
   } else if (data.kind === 'taken') {
     for (let i = 0; i < data.batches; ++i) publisher.taken();
   } else if (data.kind === 'pose') {

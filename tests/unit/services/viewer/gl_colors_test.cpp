@@ -260,6 +260,38 @@ TEST_F(GlTwoColors, DoNotWaitInAnyNumber) {
   EXPECT_GE(stage_.uploaded().rows - before, 2 * (100 - ColorPlayout::kMostWaiting));
 }
 
+TEST_F(GlTwoColors, AreOfNoLaterSceneThanTheNewest) {
+  add({{0, 0.5F}}, 90'000, 1100);
+  EXPECT_NEAR(at(1050), 0.3, kNear);
+  EXPECT_NEAR(at(1100), 0.5, kNear);
+  EXPECT_FALSE(stage_.recoloring());
+  Batch anew = many_rows({glm::vec3(0.1F), glm::vec3(0.1F)});
+  for (std::size_t k = 0; k < 2; ++k) anew.update.records[k] = record(k, 0.1F);
+  anew.colors_ns = ms(90'000);
+  anew.scene_ns = ms(1200);
+  stage_.add(anew);
+  add({{0, 0.5F}}, 1300);
+  EXPECT_NEAR(at(1200), 0.1, kNear);
+  EXPECT_NEAR(at(1250), 0.3, kNear);
+}
+
+TEST(GlWaitingColors, AreOfNoMoreRowsThanThatInAll) {
+  const GlContext context;
+  RowStore rows;
+  rows.apply(many_rows({glm::vec3(0.1F), glm::vec3(0.1F)}).update);
+  ColorPlayout playout(5);
+  playout.restart(ms(1000));
+  playout.advance(ms(980), rows);
+  const std::size_t before = rows.uploaded().rows;
+  for (int k = 1; k <= 5; ++k) {
+    playout.add(recolored({glm::vec3(0.2F), glm::vec3(0.3F)}, 1000 + k).colors, ms(1000 + k), ms(1000 + k));
+  }
+  playout.advance(ms(990), rows);
+  EXPECT_EQ(rows.uploaded().rows - before, 6) << "four of ten wait on";
+  playout.advance(ms(1005), rows);
+  EXPECT_EQ(rows.uploaded().rows - before, 10);
+}
+
 TEST(GlPainterColors, AreThoseOfTheTimeThatIsPlayedOut) {
   stream::test::ToyServer server(4, 300);
   stream::Replica replica;

@@ -2,9 +2,11 @@
 
 #include <gtest/gtest.h>
 
+#include <filesystem>
 #include <map>
 
 #include "../../bus/bus_fixture.h"
+#include "bus/keys.h"
 #include "stream/bytes.h"
 #include "wire/convert.h"
 
@@ -123,6 +125,50 @@ TEST_F(StreamClientTest, WhatItReceivesIsLoggedAsItCame) {
   EXPECT_EQ(stream::zstd_decompress(picture.payload(), 512, "picture"), stream::Bytes(512));
   EXPECT_FALSE(reader.next());
   EXPECT_THROW(stream::PacketLogReader(directory_.path() + "/none"), std::runtime_error);
+}
+
+TEST_F(StreamClientTest, AnotherBudgetCountsOn) {
+  StreamClient client(options());
+  const auto meet = [&] {
+    const int before = said(wire::Body::Hello);
+    ASSERT_TRUE(poll_until(client, [&] { return said(wire::Body::Hello) > before; }));
+    welcome();
+    send({wire::Body::Welcome, 0, stream::Bytes(20, 7), {}});
+    ASSERT_TRUE(poll_until(client, [&] { return client.connected() && client.received_bytes() == sent_bytes_; }));
+  };
+  meet();
+  EXPECT_FALSE(client.set_budget(stream::kMaxGaussians, 500)) << "the model has the size that it had";
+  ASSERT_TRUE(client.set_budget(1000, 500));
+  EXPECT_EQ(client.received_bytes(), sent_bytes_);
+  EXPECT_EQ(client.refused(), 1U);
+  meet();
+  EXPECT_EQ(client.refused(), 2U);
+  EXPECT_TRUE(bus_test::eventually([&] { return take(), said(wire::Body::Bye) == 1; }));
+}
+
+TEST_F(StreamClientTest, WithoutAWayToAnotherBudgetItKeepsTheOneThatItHas) {
+  const bus::KeyPair server = bus::make_key_pair(), own = bus::make_key_pair();
+  const std::string file = directory_.path() + "/own.key";
+  bus::write_key_file(file, own);
+  router_.set(zmq::sockopt::curve_server, true);
+  std::string secret;
+  for (std::size_t k = 0; k < server.secret_key.size(); k += 2) {
+    secret += static_cast<char>(std::stoi(server.secret_key.substr(k, 2), nullptr, 16));
+  }
+  ASSERT_EQ(::zmq_setsockopt(router_.handle(), ZMQ_CURVE_SECRETKEY, secret.data(), secret.size()), 0);
+  router_.bind("tcp://127.0.0.1:*");
+  ClientOptions with_key = options();
+  with_key.endpoint = router_.get(zmq::sockopt::last_endpoint);
+  with_key.key = file;
+  with_key.server_key = server.public_key;
+  StreamClient client(with_key);
+  ASSERT_TRUE(poll_until(client, [&] { return said(wire::Body::Hello) >= 1; }));
+  std::filesystem::remove(file);
+  EXPECT_FALSE(client.set_budget(1000, 500));
+  welcome();
+  EXPECT_TRUE(poll_until(client, [&] { return client.connected(); })) << "the link is gone";
+  bus::write_key_file(file, own);
+  EXPECT_TRUE(client.set_budget(1000, 500)) << "it thinks that it has it";
 }
 
 TEST_F(StreamClientTest, WhatATestLosesIsNotReceived) {

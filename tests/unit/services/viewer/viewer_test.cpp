@@ -212,57 +212,6 @@ TEST_F(ViewerTest, ItsPathIsSteeredWhileItRuns) {
   EXPECT_NEAR(seen.back(), 1, 1e-3F);
 }
 
-TEST_F(ViewerTest, ThroughOpenGlGoesFromTheLightOfOneSceneToThatOfTheNext) {
-  std::uint64_t version = 100;
-  const auto publish_light = [&](float ambient) {
-    SceneState scene{.light = daylight(), .objects = {}, .version = ++version};
-    scene.light.ambient_sh[0] = glm::vec3(ambient);
-    scene.light.generation = version;
-    trainer_.publish_scene(scene, bus::now_ns());
-  };
-  publish_light(0.2F);
-  trainer_.publish(stream::test::toy_model(500, 1));
-  start_streamer();
-  bus::Parameters parameters(bus::Parameters::declare<viewer::Options>());
-  for (const auto& [name, value] : std::vector<std::pair<std::string, std::string>>{{"out", out_},
-                                                                                    {"frames", "1"},
-                                                                                    {"fps", "60"},
-                                                                                    {"width", "32"},
-                                                                                    {"height", "24"},
-                                                                                    {"path", "still"},
-                                                                                    {"opengl", "true"},
-                                                                                    {"draw", "quads"}}) {
-    ASSERT_EQ(parameters.set(name, value, false), "");
-  }
-  thread_ = std::thread([&] {  // the context is of the thread that makes it
-    viewer::Viewer viewer(parameters, {.name = "viewer",
-                                       .endpoint = endpoint(),
-                                       .stop = stop_.get_token(),
-                                       .counter = [](const auto&, double) {},
-                                       .detail = [](const auto&) {}});
-    viewer.run();
-  });
-  ASSERT_TRUE(bus_test::eventually([&] { return fs::exists(fs::path(out_) / "frame_000000.png"); }));
-  constexpr int kScenes = 5;
-  for (int k = 0; k <= kScenes; ++k) {
-    publish_light(0.2F + 0.4F * static_cast<float>(k));
-    std::this_thread::sleep_for(150ms);
-  }
-  std::this_thread::sleep_for(500ms);
-  stop_viewer();
-  std::vector<fs::path> files;
-  for (const auto& entry : fs::directory_iterator(out_)) files.push_back(entry.path());
-  std::ranges::sort(files);
-  std::vector<double> levels;
-  for (const fs::path& file : files) {
-    const double level = cv::mean(metrics::read_png(file))[1];
-    if (levels.empty() || level > levels.back() + 0.1) levels.push_back(level);
-    EXPECT_GT(level, levels.back() - 0.1) << file << ": it goes one way";
-  }
-  EXPECT_GT(levels.back(), levels.front() + 20);
-  EXPECT_GT(levels.size(), 2U * kScenes) << "more than one picture a scene";
-}
-
 TEST_F(ViewerTest, APathThatCannotBeReadIsAClearError) {
   start_streamer();
   EXPECT_THROW(start_viewer({{"path", "walk"}, {"path_file", directory_.path() + "/none"}}), bus::Error);

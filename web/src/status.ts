@@ -1,0 +1,89 @@
+import { rightsHere } from './download';
+import { Rate, type Pace } from './pace';
+import type { Stage } from './stage';
+import type { ConnectionState, FromStreamWorker, StreamFigures } from './stream/messages';
+import { texts } from './texts';
+import { Notice, Overlay } from './ui/overlay';
+import type { Settings } from './ui/settings';
+
+const kEveryMs = 250;
+
+/** What the page says of the stream and of its pictures: figures, and one line of what a person should know. */
+export class Status {
+  readonly overlay = new Overlay();
+  readonly notice = new Notice();
+  readonly #rate = new Rate();
+  /** The last that the stream's worker said. */
+  figures: StreamFigures | null = null;
+  connection: ConnectionState = 'connecting';
+  /** What is wrong with what draws. */
+  graphics = '';
+  #retryAtMs = 0;
+  /** Why the server lets nobody in; empty where it does, or is not there. */
+  #refused = '';
+  #shownMs = 0;
+
+  constructor(
+    private readonly stage: Stage,
+    private readonly pace: Pace,
+    private readonly token: string | null,
+    private readonly settings: Settings,
+  ) {}
+
+  hear(message: FromStreamWorker): void {
+    if (message.kind === 'figures') {
+      if (message.figures.missing === 0 && this.figures?.missing !== 0) this.#shownMs = -Infinity;
+      this.figures = message.figures;
+      this.#rate.add(message.figures.atMs, message.figures.bytes);
+    } else if (message.kind === 'connection') {
+      this.connection = message.state;
+      this.#shownMs = -Infinity;
+      this.#retryAtMs = message.state === 'waiting' ? performance.now() + 1000 * message.retryS : 0;
+      if (message.state === 'waiting') void this.#askWhy();
+      if (message.state === 'open') this.#refused = '';
+    }
+  }
+
+  /**
+   * To be called with every turn of the display; true if it was time to. `resolution`: of what was drawn last; `doing`: what
+   * the page is about.
+   */
+  show(nowMs: number, resolution: number, doing: string): boolean {
+    if (nowMs - this.#shownMs <= kEveryMs) return false;
+    this.#shownMs = nowMs;
+    const { figures, stage, pace } = this;
+    const known = (value: number | undefined, show: (value: number) => string): string =>
+      value === undefined || value < 0 ? texts.unknown : show(value);
+    const moving = pace.frameMs > 0 && !pace.restsAt(nowMs);
+    const connection = this.connection === 'open' ? texts.connected : texts.connecting;
+    const waiting = Math.max(0, (this.#retryAtMs - nowMs) / 1000);
+    this.overlay.show({
+      frames: moving ? pace.framesPerSecond.toFixed(0) : texts.rows.atRest,
+      frame: moving ? texts.ms(pace.frameMs) : texts.unknown,
+      sort: stage.sortMs === null ? texts.unknown : texts.ms(stage.sortMs),
+      gaussians: known(figures?.gaussians, (n) => n.toLocaleString('en')),
+      rate: texts.rate(this.#rate.megabits, this.settings.budget.megabits),
+      roundTrip: known(figures?.roundTripMs, texts.ms),
+      age: known(figures?.ageMs, texts.ms),
+      missing: known(figures?.missing, texts.pages),
+      uploaded: stage.uploadedRows.toLocaleString('en'),
+      resolution: resolution > 0 ? `${Math.round(100 * resolution)} %` : texts.unknown,
+      drawnBy: stage.renderer ? texts.apis[stage.renderer.api] : texts.unknown,
+      connection: this.#retryAtMs > 0 ? texts.lost : connection,
+    });
+    const problem =
+      this.graphics ||
+      (this.#retryAtMs > 0 ? this.#refused || texts.reconnecting(waiting) : '') ||
+      doing ||
+      (stage.standing ? '' : this.connection === 'open' ? texts.waitingForScene : texts.connecting);
+    this.notice.keep(problem);
+    return true;
+  }
+
+  /** A WebSocket does not say why it was not opened. */
+  async #askWhy(): Promise<void> {
+    const here = await rightsHere(this.token);
+    const refused = this.token ? texts.tokenRefused : texts.tokenMissing;
+    this.#refused = here === 'refused' ? refused : '';
+  }
+}
