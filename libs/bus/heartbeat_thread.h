@@ -37,7 +37,7 @@ class HeartbeatThread {
   Publisher publisher_;
   Subscriber control_;
   wire::ServiceState said_state_ = wire::ServiceState::Starting;  ///< in the last heartbeat
-  TokenBucket said_{5, 50};  ///< log lines about changed parameters
+  TokenBucket said_{5, 50};                                       ///< log lines about changed parameters
   std::jthread thread_;
 };
 

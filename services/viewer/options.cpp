@@ -16,10 +16,10 @@ void Options::bind(bus::ParameterBinder& p) {
         kFixed);
   p.add("out", out, "folder for pictures; empty: write none", kFixed);
   p.add("frames", frames, "write every n-th picture to 'out' as frame_<number>.png; 0: none", {0, 1e9});
-  p.add("probe", probe,
-        "compare with the engine's own pictures when they arrive; write probe_<id>_viewer.png to 'out'", kFixed);
-  p.add("probe_alpha", probe_alpha,
-        "with 'probe': write probe_<id>_alpha.png too, black where nothing is modelled", kFixed);
+  p.add("probe", probe, "compare with the engine's own pictures when they arrive; write probe_<id>_viewer.png to 'out'",
+        kFixed);
+  p.add("probe_alpha", probe_alpha, "with 'probe': write probe_<id>_alpha.png too, black where nothing is modelled",
+        kFixed);
   p.add("probe_period_s", probe_period_s,
         "with 'probe': time between requests for the engine's picture of this camera; 0: only what others ask for, s",
         {0, 1e6});
