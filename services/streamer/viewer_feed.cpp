@@ -87,7 +87,10 @@ bool ViewerFeed::affords(Kind kind, const SharedPacket& packet, std::int64_t now
 SharedPacket ViewerFeed::next(stream::StreamModel& model, PageBoard& board, const std::optional<ViewerGaze>& gaze,
                               const ObjectTransforms& objects, std::int64_t now_ns) {
   SharedPacket packet = choose(model, board, gaze, objects, now_ns);
-  if (!packet && !waits_) rate_.rest();
+  if (!packet && !waits_) {
+    rate_.rest();
+    was_whole_ = was_whole_ || !held_.empty();
+  }
   return packet;
 }
 

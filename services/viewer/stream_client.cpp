@@ -61,9 +61,18 @@ void StreamClient::follow_streamer() {
   next_find_ns_ = now_ns + kFindEveryNs;
   std::string found = options_.find_endpoint();
   if (found.empty() || found == options_.endpoint) return;
+  ClientOptions options = options_;
+  options.endpoint = std::move(found);
+  std::unique_ptr<PacketLink> link;
+  try {
+    link = make_link(options);
+  } catch (const bus::Error& error) {  // a key that has gone since: no reason to end
+    if (log_limiter_.allow()) spdlog::error("the streamer stays the one that it is: {}", error.what());
+    return;
+  }
   send(follower_.farewell());
-  options_.endpoint = std::move(found);
-  link_ = make_link(options_);
+  options_ = std::move(options);
+  link_ = std::move(link);
   follower_.restart();
 }
 

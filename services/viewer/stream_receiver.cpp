@@ -102,6 +102,7 @@ void StreamReceiver::hand_over(bool changed) {
     measured_ns_ = now_ns;
     status = measure();
   }
+  if (renews_ && renews_->until_ns == 0 && replica.count() > 0) renews_->until_ns = bus::now_ns() + kLongestRenewalNs;
   if (renews_ && !replaces(*renews_)) {
     const std::scoped_lock lock(mutex_);
     if (status) status_ = *status;
@@ -200,7 +201,7 @@ void StreamReceiver::set_budget(std::size_t max_gaussians, std::uint32_t max_kbp
     renews_.reset();
     if (shown > 0) {
       const auto most = static_cast<double>(std::min(shown, max_gaussians));
-      renews_ = {.enough = static_cast<std::size_t>(kEnough * most), .until_ns = bus::now_ns() + kLongestRenewalNs};
+      renews_ = {.enough = static_cast<std::size_t>(kEnough * most)};
     }
     scene_key_ = {};
     if (feed_) feed_.emplace(client.replica(), true);

@@ -77,7 +77,7 @@ class StreamReceiver {
   /// The model was asked for anew while another one is shown.
   struct Renewal {
     std::size_t enough = 0;     ///< Gaussians that may take its place
-    std::int64_t until_ns = 0;  ///< from then on any may
+    std::int64_t until_ns = 0;  ///< from then on any may; 0 until there are some
   };
   [[nodiscard]] bool replaces(const Renewal& renewal) const;
   [[nodiscard]] ReceiverStatus measure();

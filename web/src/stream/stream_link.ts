@@ -10,6 +10,7 @@ export interface LinkOptions {
 /** The stream worker, started again whenever it dies. */
 export class StreamLink {
   #worker: Worker | null = null;
+  #startsAgain: ReturnType<typeof setTimeout> | undefined;
   readonly #backoff = new Backoff(0.25, 8);
   onMessage: (message: FromStreamWorker) => void = () => {};
   /** A worker has started that knows nothing of who draws. */
@@ -18,6 +19,8 @@ export class StreamLink {
   constructor(private readonly options: LinkOptions) {}
 
   start(): void {
+    clearTimeout(this.#startsAgain); // somebody else was sooner
+    this.#worker?.terminate();
     const worker = new Worker('stream_worker.js', { type: 'module', name: 'stream' });
     this.#worker = worker;
     const died = (): void => {
@@ -26,7 +29,7 @@ export class StreamLink {
       this.#worker = null;
       const retryS = this.#backoff.seconds();
       this.onMessage({ kind: 'connection', state: 'waiting', retryS });
-      setTimeout(() => this.start(), 1000 * retryS);
+      this.#startsAgain = setTimeout(() => this.start(), 1000 * retryS);
     };
     worker.onerror = died;
     worker.onmessageerror = died;
@@ -49,7 +52,6 @@ export class StreamLink {
     this.options.budget = budget;
     if (budget.megabits !== megabits) this.send({ kind: 'rate', megabits: budget.megabits });
     if (budget.gaussians === gaussians) return;
-    this.#worker?.terminate();
     this.start();
   }
 

@@ -176,16 +176,19 @@ TEST_F(SteppedStreamerTest, NoSecondHasMoreThanATenthAboveTheRateFromTheFirstPag
   EXPECT_GT(largest, 200'000U) << "the rate was not used";
 }
 
-TEST_F(SteppedStreamerTest, AViewerIsWholeSoonAndHasItsOwnRateFromThenOn) {
+/// Whether the model rests until the viewer is whole.
+class JoiningViewerTest : public SteppedStreamerTest, public testing::WithParamInterface<bool> {};
+
+TEST_P(JoiningViewerTest, IsWholeSoonAndHasItsOwnRateFromThenOn) {
   start({{"viewer_kbps", "800"}, {"join_kbps", "20000"}, {"tick_hz", "5"}});
   std::mt19937 random(3);
   GaussiansBuffer model = stream::test::toy_model(20'000, 1);
   trainer_.publish(model);
   StreamClient client(options("one"));
   ASSERT_TRUE(settle([&] { return client.connected() && client.received_bytes() > 0; }, client));
-  // The model goes on changing meanwhile: there is always more to send.
+  bool rests = GetParam();  // else there is always more to send
   auto hundredth = [&, count = 0]() mutable {
-    if (count++ % 20 == 0) {
+    if (count++ % 20 == 0 && !rests) {
       disturb(model, random);
       trainer_.publish(model);
     }
@@ -199,6 +202,7 @@ TEST_F(SteppedStreamerTest, AViewerIsWholeSoonAndHasItsOwnRateFromThenOn) {
   EXPECT_GT(whole_bytes, 200'000U);
   EXPECT_LT(hundredths, 100) << "at 800 kbit/s more than 2 s";
   for (int k = 0; k < 100; ++k) hundredth();  // what was made for the higher rate has gone
+  rests = false;
   for (int second = 0; second < 4; ++second) {
     const std::uint64_t before = client.received_bytes();
     for (int k = 0; k < 100; ++k) hundredth();
@@ -207,6 +211,9 @@ TEST_F(SteppedStreamerTest, AViewerIsWholeSoonAndHasItsOwnRateFromThenOn) {
     EXPECT_GT(client.received_bytes() - before, 60'000U) << "second " << second << ": the rate was not used";
   }
 }
+
+INSTANTIATE_TEST_SUITE_P(OfAModelThat, JoiningViewerTest, testing::Bool(),
+                         [](const auto& rests) { return rests.param ? "Rests" : "Changes"; });
 
 TEST_F(SteppedStreamerTest, WhatARestingModelDidNotUseIsNotSpentLater) {
   start({{"viewer_kbps", "1000000"}, {"budget_kbps", "400"}, {"tick_hz", "10"}});
