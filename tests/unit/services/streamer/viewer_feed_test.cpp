@@ -180,7 +180,7 @@ TEST_F(ViewerFeedTest, WithinItsMemoryItStaysWhenGaussiansOfItsPagesComeAndGo) {
     EXPECT_LE(seat.replica.count(), kMost);
     EXPECT_EQ(seat.feed.refused_pages(), 0U) << "it was sent what it has no room for";
   }
-  EXPECT_GT(seat.replica.count(), kMost - 2 * kPageLanes);
+  EXPECT_GT(seat.replica.count(), kMost - 2UL * kPageLanes);
 }
 
 // As long as it does not acknowledge, or its rate lets nothing through.

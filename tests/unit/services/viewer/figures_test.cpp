@@ -25,7 +25,7 @@ TEST(FiguresTest, PicturesHaveARateWhileSomethingMoves) {
 TEST(FiguresTest, BytesHaveARateOverAFewSecondsAndMayBeCountedAnew) {
   ByteRate rate;
   EXPECT_EQ(rate.megabits(), 0);
-  for (int i = 0; i <= 100; ++i) rate.add(i * 100 * kMillisecond, static_cast<std::uint64_t>(i) * 25'000);
+  for (int i = 0; i <= 100; ++i) rate.add(100L * i * kMillisecond, static_cast<std::uint64_t>(i) * 25'000);
   EXPECT_NEAR(rate.megabits(), 2, 0.01);
   rate.add(10'100 * kMillisecond, 0);
   EXPECT_EQ(rate.megabits(), 0);

@@ -197,7 +197,7 @@ class GlTwoColors : public ::testing::Test {
     const Picture picture = stage_.capture(camera(), {}, kSettled_s);
     const Camera from = camera();
     const auto x = static_cast<std::size_t>(from.cx + from.fx * (row == 0 ? -kAside_m : kAside_m) / kFar_m);
-    const float value = static_cast<float>(picture.rgba[4 * (kHeight / 2 * kWidth + x)]) / 255;
+    const float value = static_cast<float>(picture.rgba[4UL * (std::size_t{kHeight} / 2 * kWidth + x)]) / 255;
     return value <= 0.04045F ? value / 12.92F : std::pow((value + 0.055F) / 1.055F, 2.4F);
   }
 

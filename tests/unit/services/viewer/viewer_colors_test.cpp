@@ -1,4 +1,5 @@
 // Colours that are played out, in the pictures that a viewer writes.
+#include <fmt/format.h>
 #include <gtest/gtest.h>
 
 #include <algorithm>
