@@ -7,6 +7,7 @@ import { crashGpu, kMiddle, kPage, opened, shownColors } from './opened_page.mjs
 import { colorsIn, readPng } from './png.mjs';
 import { letTrap, trapIn } from './trapping.mjs';
 
+const kLimit = { timeout: 60_000 }; // sooner than ctest's, which would not say whose wait it was
 const kColors = 500; // of the scene; a background alone has few
 const kApis = ['webgl2', 'webgpu'];
 const pageOf = (api) => kPage.replace('#', `?gpu=${api}#`);
@@ -21,7 +22,7 @@ const uploaded = (page, times, count = 3000) =>
 const leastColors = (pictures) => Math.min(...pictures.map((picture) => colorsIn(readPng(picture), kMiddle)));
 
 for (const api of kApis) {
-  test(`${api}: a device that is lost comes back, and the last picture stands meanwhile`, () =>
+  test(`${api}: a device that is lost comes back, and the last picture stands meanwhile`, kLimit, () =>
     opened(pageOf(api), async (page) => {
       await settled(page);
       const film = await filmed(page);
@@ -35,7 +36,7 @@ for (const api of kApis) {
     }));
 }
 
-test('the GPU\'s process ends: pages of both interfaces get devices of another, and their last pictures stand', () =>
+test('the GPU\'s process ends: pages of both interfaces get devices of another, and their last pictures stand', kLimit, () =>
   opened(pageOf('webgl2'), (one) =>
     opened(pageOf('webgpu'), async (other) => {
       const pages = [one, other];
@@ -60,7 +61,7 @@ test('the GPU\'s process ends: pages of both interfaces get devices of another, 
   ));
 
 for (const called of ['sort', 'sorter_update']) {
-  test(`a trap in the sort worker's ${called}(): another worker sorts, and the picture stands`, () =>
+  test(`a trap in the sort worker's ${called}(): another worker sorts, and the picture stands`, kLimit, () =>
     opened(
       pageOf('webgl2'),
       async (page) => {
@@ -81,7 +82,7 @@ for (const called of ['sort', 'sorter_update']) {
     ));
 }
 
-test('a stream worker that dies is started again, and the picture stands', () =>
+test('a stream worker that dies is started again, and the picture stands', kLimit, () =>
   opened(kPage, async (page) => {
     await settled(page);
     const film = await filmed(page);
@@ -90,7 +91,7 @@ test('a stream worker that dies is started again, and the picture stands', () =>
     assert.ok(leastColors(await film()) > kColors);
   }));
 
-test('a page that has room for a part of the model gets that part back, from another device and another worker', () =>
+test('a page that has room for a part of the model gets that part back, from another device and another worker', kLimit, () =>
   opened(
     pageOf('webgl2'),
     async (page) => {
