@@ -94,6 +94,15 @@ std::vector<wire::LightSource> to_wire(const std::vector<splatbus_light_source>&
 
 }  // namespace
 
+bool SetAddresses::is_ours(const wire::Header& header, std::string_view engine) {
+  const std::string_view key = header.latch_key() == nullptr ? std::string_view() : header.latch_key()->string_view();
+  if (key.empty()) return asker_epoch_ != header.epoch() || header.source()->string_view() != asker_;
+  if (key != engine) return false;
+  asker_ = header.source()->str();
+  asker_epoch_ = header.epoch();
+  return true;
+}
+
 std::vector<splatbus_camera_request> read_requests(const wire::EngineCameras& root, const bus::Message& message) {
   std::vector<splatbus_camera_request> requests;
   if (root.cameras() == nullptr) return requests;

@@ -1,5 +1,8 @@
 #pragma once
 
+#include <cstdint>
+#include <string>
+#include <string_view>
 #include <vector>
 
 #include "bus/subscriber.h"
@@ -7,6 +10,18 @@
 #include "wire/engine_generated.h"
 
 namespace splatbus::engine_sdk {
+
+/// Which sets of requests are an engine's: those whose latch key is its name, and those without a key, which are for
+/// every engine. Where whoever asks has once named it, what he says to all is for others; one that starts anew begins
+/// anew.
+class SetAddresses {
+ public:
+  [[nodiscard]] bool is_ours(const wire::Header& header, std::string_view engine);
+
+ private:
+  std::string asker_;  ///< who has named it last, and when he started
+  std::uint64_t asker_epoch_ = 0;
+};
 
 /// The requests of an EngineCameras message that make sense; the others are logged.
 [[nodiscard]] std::vector<splatbus_camera_request> read_requests(const wire::EngineCameras& root,

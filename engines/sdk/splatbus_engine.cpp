@@ -47,7 +47,9 @@ struct splatbus_engine {
         sender(context),
         heartbeats(service, "engine") {
     subscriber.on(topics::kEngineCameras, [this](const wire::EngineCameras& root, const bus::Message& message) {
-      requests_changed |= take_requests(engine_sdk::read_requests(root, message));
+      if (addresses.is_ours(message.header(), context->source())) {
+        requests_changed |= take_requests(engine_sdk::read_requests(root, message));
+      }
     });
   }
 
@@ -69,6 +71,7 @@ struct splatbus_engine {
   engine_sdk::FrameSender sender;
   bus::HeartbeatThread heartbeats;
 
+  engine_sdk::SetAddresses addresses;
   std::vector<splatbus_camera_request> requests;
   bool requests_changed = false;  ///< since the last poll
   std::optional<engine_sdk::EngineClock> last;

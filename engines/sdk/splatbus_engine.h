@@ -187,7 +187,13 @@ splatbus_status splatbus_engine_open(const char* address, const char* source, ui
 void splatbus_engine_close(splatbus_engine* engine);
 
 /* Takes in camera requests that have arrived, waiting up to timeout_ms for a change. The whole set as it now stands is
- * at *requests; *changed is 1 when it is another than before. Requests that make no sense are left out and logged. */
+ * at *requests; *changed is 1 when it is another than before. Requests that make no sense are left out and logged.
+ *
+ * Several engines of one world share the requests: each gets its part, and another one when engines come or go. Of one
+ * that does not lead only those frames count whose objects (but for SPLATBUS_PLAYER_ID) and light equal, bit for bit,
+ * those of a frame of the one that leads: all of them show the instants of one clock (the ticks of the simulation that
+ * they share, not what each interpolates for its own player), and no state of theirs alone. Frame numbers, times and
+ * depth versions may differ. */
 splatbus_status splatbus_engine_poll(splatbus_engine* engine, int timeout_ms, const splatbus_camera_request** requests,
                                      size_t* count, int* changed);
 

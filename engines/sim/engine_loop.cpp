@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <array>
+#include <bit>
 #include <cassert>
 #include <chrono>
 #include <cmath>
@@ -35,6 +36,13 @@ std::int64_t now_ns() {
 
 bool is_picture(const splatbus_camera_request& request) {
   return request.camera.role != SPLATBUS_ROLE_LIGHT && request.camera.role != SPLATBUS_ROLE_PROBE;
+}
+
+/// Engines that skip frames, each by its own load, meet where the number is a multiple of as many as they take: in a
+/// scene that moves, what one of them shows alone is of no use.
+std::uint64_t common_frame(std::uint64_t frame, std::uint64_t next) {
+  const std::uint64_t stride = std::bit_ceil(next - frame);
+  return (next + stride - 1) / stride * stride;
 }
 
 template <class T>
@@ -77,14 +85,17 @@ EngineLoop::EngineLoop(splatbus_engine& engine, Renderer& renderer, DeviceReadba
     : engine_(engine), renderer_(renderer), readback_(readback), options_(options) {}
 
 void EngineLoop::run(const std::atomic<bool>& stop) {
-  const std::int64_t start_ns = now_ns();
-  std::uint64_t frame = 0;
+  const std::int64_t start_ns = options_.shared_clock ? 0 : now_ns();
+  const auto frame_now = [&] {
+    return static_cast<std::uint64_t>(static_cast<double>(now_ns() - start_ns) * 1e-9 * options_.fps);
+  };
+  std::uint64_t frame = options_.shared_clock ? frame_now() : 0;
   for (std::uint64_t rendered = 0; options_.frames == 0 || rendered < options_.frames; ++rendered) {
     wait_until(start_ns + std::llround(static_cast<double>(frame) * 1e9 / options_.fps), stop);
     if (stop) return;
     render_frame(frame);
-    const auto current = static_cast<std::uint64_t>(static_cast<double>(now_ns() - start_ns) * 1e-9 * options_.fps);
-    const std::uint64_t next = std::max(frame + 1, current);
+    std::uint64_t next = std::max(frame + 1, frame_now());
+    if (options_.shared_clock) next = common_frame(frame, next);
     frames_skipped_ += next - frame - 1;
     frame = next;
     count("frame", static_cast<double>(frame));

@@ -24,6 +24,8 @@ struct EngineLoopOptions {
   /// After so long in a frame's pictures the rest waits for the next frame, all but depth maps, probes and one picture:
   /// a machine that cannot carry them all still shows a scene that moves.
   double pictures_s = 0.1;
+  /// Frame 0 is at the start of the machine's monotonic clock, not of run(): engines of one machine show one time.
+  bool shared_clock = false;
   std::uint64_t frames = 0;                    ///< ends after so many; 0: never
   std::function<void()> before_frame = [] {};  ///< may change the renderer's scene
 };

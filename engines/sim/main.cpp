@@ -97,6 +97,8 @@ void add_flags(CLI::App& app, Flags& flags) {
                  "longest time for the pictures of one frame, s; the rest wait for the next")
       ->capture_default_str()
       ->check(CLI::Range(0.0, 1000.0));
+  app.add_flag("--shared-clock", flags.loop.shared_clock,
+               "count frames and time from the machine's start: engines of one scene, seed and --fps show the same");
   app.add_option("--frames", flags.loop.frames, "stop after this many frames; 0: never")->capture_default_str();
   app.add_option("--supersample", flags.renderer.supersample,
                  "shaded pixels per side of a pixel, each with coverage samples")

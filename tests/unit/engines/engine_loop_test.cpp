@@ -2,6 +2,7 @@
 
 #include <array>
 #include <atomic>
+#include <bit>
 #include <cmath>
 #include <functional>
 #include <map>
@@ -25,8 +26,9 @@ class EngineLoopTest : public SdkTest {
 
   /// `motion` is that of the scene's object 2, within 2 m along x.
   void start(double sun_rate_deg_s, const Motion& motion = {}, double fps = 50,
-             const std::vector<sim::LightSource>& sources = {}, double pictures_s = 1000) {
-    thread_ = std::jthread([this, sun_rate_deg_s, motion, fps, sources, pictures_s] {
+             const std::vector<sim::LightSource>& sources = {}, double pictures_s = 1000,
+             const std::string& shares_clock_as = "") {
+    threads_.emplace_back([this, sun_rate_deg_s, motion, fps, sources, pictures_s, shares_clock_as] {
       sim::Scene scene;
       sim::add_plain(scene, sim::box({4, 0.1F, 4}), glm::vec3(0.5F));
       sim::add_plain(scene, sim::box({0.4F, 0.4F, 0.4F}), glm::vec3(0.3F, 0.5F, 0.2F));
@@ -36,8 +38,11 @@ class EngineLoopTest : public SdkTest {
       scene.lighting.sun_rate_deg_s = sun_rate_deg_s;
       scene.lighting.sources = sources;
       sim::Renderer renderer(std::make_shared<GlContext>(), std::move(scene), {.shadow_map_size = 256});
-      const sim::EngineHandle engine = sim::open_engine(directory_.address().text(), "engine");
-      sim::EngineLoop(*engine, renderer, nullptr, {.fps = fps, .pictures_s = pictures_s}).run(stop_);
+      const bool shares_clock = !shares_clock_as.empty();
+      const sim::EngineHandle engine =
+          sim::open_engine(directory_.address().text(), shares_clock ? shares_clock_as : "engine");
+      sim::EngineLoop(*engine, renderer, nullptr, {.fps = fps, .pictures_s = pictures_s, .shared_clock = shares_clock})
+          .run(stop_);
     });
   }
   ~EngineLoopTest() override { stop_ = true; }
@@ -73,7 +78,7 @@ class EngineLoopTest : public SdkTest {
   }
 
   std::atomic<bool> stop_ = false;
-  std::jthread thread_;
+  std::vector<std::jthread> threads_;
 };
 
 TEST_F(EngineLoopTest, AnswersRequestsAndTheirUpdates) {
@@ -286,6 +291,56 @@ TEST_F(EngineLoopTest, NewCamerasDoNotWaitForTheNextFrame) {
     ASSERT_TRUE(message.has_value()) << i;
     EXPECT_EQ(message->root<wire::EngineFrame>().scene()->frame(), first->root<wire::EngineFrame>().scene()->frame());
   }
+}
+
+TEST_F(EngineLoopTest, EnginesThatShareAClockShowTheSameThoughOneStartsLaterAndSkipsFrames) {
+  const auto context = connect("tester");
+  const bus::Publisher cameras(context);
+  bus::Subscriber frames(context, {"engine/frame"});
+  bus_test::meet(cameras, frames);
+  constexpr double kFps = 100;
+  const auto motion = [](double time_s) {
+    return sim::Pose{.translation = {static_cast<float>(1 + std::sin(time_s)), 0.5F, 0}};
+  };
+  start(15, motion, kFps, {}, 1000, "a");
+  ASSERT_TRUE(frames.receive(patience).has_value());
+  // More than it renders in a frame: it skips some, again and again.
+  Request large = request(1, EngineBuffer::Color, 100);
+  large.camera.width = 2400;
+  large.camera.height = 1600;
+  publish_requests(cameras, {large}, "b");
+  start(15, motion, kFps, {}, 1000, "b");
+  std::map<std::uint64_t, std::map<std::string, std::vector<std::uint8_t>>> objects;  // by frame and engine
+  std::map<std::uint64_t, std::map<std::string, std::uint64_t>> lights;
+  std::set<std::uint64_t> of_b;
+  std::size_t common = 0;
+  while (common < 8) {
+    const auto message = frames.receive(patience);
+    ASSERT_TRUE(message.has_value());
+    const auto& scene = *message->root<wire::EngineFrame>().scene();
+    const std::string source = message->header().source()->str();
+    const auto* const first = reinterpret_cast<const std::uint8_t*>(scene.objects()->Get(0));
+    EXPECT_NEAR(scene.time_s(), static_cast<double>(message->header().capture_ns()) * 1e-9, 2);
+    objects[scene.frame()][source] = {first, first + sizeof(wire::ObjectTransform)};
+    lights[scene.frame()][source] = scene.light()->generation();
+    if (source == "b") of_b.insert(scene.frame());
+    common = static_cast<std::size_t>(
+        std::ranges::count_if(objects, [](const auto& frame) { return frame.second.size() == 2; }));
+  }
+  for (const auto& [frame, shown] : objects) {
+    EXPECT_TRUE(shown.size() < 2 || shown.at("a") == shown.at("b")) << frame;
+  }
+  for (const auto& [frame, light] : lights) {
+    EXPECT_TRUE(light.size() < 2 || light.at("a") == light.at("b")) << frame;
+  }
+  // After a gap it goes on where one that skips as many, or half as many, goes on.
+  std::uint64_t widest = 0;
+  for (auto frame = std::next(of_b.begin()); frame != of_b.end(); ++frame) {
+    const std::uint64_t gap = *frame - *std::prev(frame);
+    widest = std::max(widest, gap);
+    EXPECT_EQ(*frame % std::bit_floor(gap), 0U) << gap;
+  }
+  EXPECT_GT(widest, 1U);
 }
 
 TEST_F(EngineLoopTest, ACameraThatCannotBeRenderedDisturbsNoOther) {

@@ -71,8 +71,10 @@ struct Request {
   float extent_m = 0;
 };
 
-inline void publish_requests(const bus::Publisher& publisher, const std::vector<Request>& requests) {
-  publisher.publish(topics::kEngineCameras, [&](auto& builder, auto header) {
+/// Of the engine of that name, or of all.
+inline void publish_requests(const bus::Publisher& publisher, const std::vector<Request>& requests,
+                             const std::string& engine = "") {
+  publisher.publish(topics::kEngineCameras, {.latch_key = engine}, [&](auto& builder, auto header) {
     std::vector<flatbuffers::Offset<wire::CameraRequest>> offsets;
     for (const Request& request : requests) {
       const splatbus_camera& c = request.camera;

@@ -43,6 +43,27 @@ TEST_F(SdkTest, AnEngineInPlainCTakesPart) {
   EXPECT_FALSE(message->tensor("albedo").has_value());
 }
 
+TEST_F(SdkTest, RequestsByNameGoBeforeThoseToAllUntilTheirBridgeIsAnother) {
+  const bus::Publisher bridge(connect("bridge")), next(connect("next"));
+  const Engine engine = open("engine-2");
+  const auto wait_for = [&](std::uint64_t id) {
+    const auto requests = wait_for_change(engine.get());
+    ASSERT_EQ(requests.size(), 1U);
+    EXPECT_EQ(requests[0].request_id, id);
+  };
+  publish_requests(bridge, {{.camera = small_camera(1), .id = 1}});
+  wait_for(1);
+  publish_requests(bridge, {{.camera = small_camera(1), .id = 2}}, "engine-2");
+  wait_for(2);
+  publish_requests(bridge, {{.camera = small_camera(1), .id = 3}});
+  publish_requests(bridge, {{.camera = small_camera(1), .id = 4}}, "engine-1");
+  publish_requests(bridge, {{.camera = small_camera(1), .id = 5}}, "engine-2");
+  wait_for(5);
+  // What was passed over does not come after all.
+  publish_requests(next, {{.camera = small_camera(1), .id = 6}});
+  wait_for(6);
+}
+
 TEST_F(SdkTest, RequestsArriveAndAreReplaced) {
   const auto context = connect("tester");
   const bus::Publisher cameras(context);
