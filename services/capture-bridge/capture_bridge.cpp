@@ -39,8 +39,8 @@ CaptureBridge::CaptureBridge(std::shared_ptr<bus::Context> context, const bus::P
       subscriber_(context_),
       publisher_(context_),
       forwarder_(context_, backend),
-      // A restarted bridge must not repeat ids of the one before: the engine has answered those.
-      rigs_(parameters, context_->epoch()),
+      // A bridge in another's place, or started again, must not repeat that one's ids: the engine has answered those.
+      rigs_(parameters, static_cast<std::uint64_t>(bus::now_ns())),
       probes_(kMaxProbes),
       input_pictures_(backend),
       blindness_(backend),
@@ -55,9 +55,12 @@ void CaptureBridge::step(std::chrono::milliseconds timeout) {
   update_rigs(bus::now_ns());
   publish_cameras();
   subscriber_.dispatch_all(timeout, kMaxMessagesAStep);
-  const bool refused = std::exchange(counters_.refused, subscriber_.refused()) != subscriber_.refused();
-  if (worker_.take_failure() || refused) bus::require_usable(input_pictures_.kind());
   const std::int64_t now = bus::now_ns();
+  use_waiting_frames(now);
+  const std::uint64_t refused = subscriber_.refused() + waiting_refused_;
+  const bool refused_one = std::exchange(counters_.refused, refused) != refused;
+  if (worker_.take_failure() || refused_one) bus::require_usable(input_pictures_.kind());
+  engines_.update(now);
   update_rounds(now);
   update_light_maps(now);
   refresh_pictures(now);
@@ -82,110 +85,6 @@ void CaptureBridge::subscribe() {
           })
       .on(topics::kGridState,
           [this](const wire::GridState& state, const bus::Message& message) { handle_grid_state(state, message); });
-}
-
-void CaptureBridge::handle_frame(const wire::EngineFrame& frame, const bus::Message& message) {
-  ++counters_.frames;
-  if (!forwarder_.scene(frame, options_->far_field)) {
-    ++counters_.frames_lost;
-    return;
-  }
-  // It goes on: an object that comes and goes would have all references rendered anew each time.
-  if (forwarder_.masks_objects()) rigs_.ask_for_ids();
-  const auto* tensors = frame.header()->tensors();
-  if (tensors == nullptr || tensors->size() == 0) return;  // what moved and nothing else
-  switch (frame.camera()->role()) {
-    case wire::CameraRole::Input:
-      handle_input(message, frame);
-      break;
-    case wire::CameraRole::Reference: {
-      rigs_.references().arrived(frame.camera()->id());
-      const bool sent = forwarder_.reference(message, frame);
-      sent ? ++counters_.references : ++counters_.frames_lost;
-      if (!sent) break;
-      references_published_.camera_ids.insert(frame.camera()->id());
-      references_published_.last_ns = bus::now_ns();
-      refreshed_references_.pictures.arrived(frame.camera()->id(), forwarder_.scene_version());
-      break;
-    }
-    case wire::CameraRole::Probe:
-      RangeFinder::owns(frame.camera()->id()) ? handle_range(message, frame) : handle_probe_frame(message, frame);
-      break;
-    case wire::CameraRole::Light:
-      handle_light_depth(message, frame);
-      break;
-    default:
-      throw bus::Error(fmt::format("camera role {} does not exist", static_cast<int>(frame.camera()->role())));
-  }
-}
-
-void CaptureBridge::handle_input(const bus::Message& message, const wire::EngineFrame& frame) {
-  const std::uint32_t camera_id = frame.camera()->id();
-  InputRig* const rig = rigs_.inputs().awaiting(camera_id, frame.request_id());
-  if (rig == nullptr) {
-    // Of a camera that waits for its turn in a new place a trainer may have asked for the old one's view.
-    const bool asked = rigs_.cameras().asks_for(CameraRole::Input, camera_id, frame.request_id());
-    if (asked && options_->input_views) forwarder_.reference(message, frame);
-    return;
-  }
-  auto view = decode_input_frame(message, frame, input_pictures_, host_copied_bytes_);
-  if (!view) {
-    ++counters_.frames_lost;
-    return;
-  }
-  const std::int64_t now = bus::now_ns();
-  if (options_->blind_m > 0 && blindness_.is_blind(*view, options_->blind_m)) {
-    ++counters_.inputs_blind;
-    rigs_.inputs().blind(*rig, camera_id, now, rigs_.cameras());
-    return;
-  }
-  view->scene_version = forwarder_.scene_version();
-  if (options_->far_field) view->objects.insert_or_assign(kFarFieldFrame, far_field());
-  rigs_.inputs().arrived(*rig, camera_id, frame.request_id(), std::make_shared<const InputView>(std::move(*view)), now);
-  submit_glance(*rig);
-  ++counters_.inputs;
-  refreshed_inputs_.pictures.arrived(camera_id, forwarder_.scene_version());
-  if (options_->input_views && forwarder_.reference(message, frame)) {
-    inputs_published_.camera_ids.insert(camera_id);
-    inputs_published_.last_ns = now;
-  }
-}
-
-void CaptureBridge::handle_range(const bus::Message& message, const wire::EngineFrame& frame) {
-  const Camera* const camera = rigs_.ranges().awaited(frame.camera()->id(), frame.request_id());
-  if (camera == nullptr) return;
-  const auto depth = message.tensor("depth", bus::ElementType::F32, {camera->height, camera->width});
-  std::vector<float> depth_m(std::size_t{camera->width} * camera->height);
-  if (!depth || !depth->copy(depth_m.data())) {
-    ++counters_.frames_lost;
-    return;
-  }
-  host_copied_bytes_ += depth->bytes();
-  ++counters_.ranges;
-  rigs_.ranges().take(camera->id, std::move(depth_m), bus::now_ns(), rigs_.cameras());
-}
-
-void CaptureBridge::handle_probe_frame(const bus::Message& message, const wire::EngineFrame& frame) {
-  const auto probe = probes_.answer(frame.camera()->id(), frame.request_id());
-  if (!probe) return;
-  rigs_.cameras().remove(CameraRole::Probe, probe->camera.id);
-  forwarder_.probe(message, frame, *probe) ? ++counters_.probes : ++counters_.probes_dropped;
-}
-
-void CaptureBridge::handle_light_depth(const bus::Message& message, const wire::EngineFrame& frame) {
-  const Camera camera = from_wire(*frame.camera());
-  const std::string fault = fault_of(forwarder_.light(), frame.light_id(), frame.light_map(), camera);
-  if (!fault.empty()) throw bus::Error(message.topic() + ": " + fault);
-  const std::uint32_t maps = rigs_.lights().maps_with(frame.light_id(), frame.light_map(), camera.id);
-  if (maps == 0) return;  // of a request that is no more
-  if (!forwarder_.light_depth(message, frame, maps, host_copied_bytes_)) {
-    ++counters_.frames_lost;
-    // While its light rests the engine would not render it again.
-    rigs_.cameras().reissue(CameraRole::Light, std::span(&camera.id, 1));
-    return;
-  }
-  ++counters_.light_depths;
-  rigs_.lights().saw(frame.light_id(), frame.light_map(), camera);
 }
 
 void CaptureBridge::handle_pose(const wire::ViewerPose& pose) {
@@ -294,7 +193,7 @@ void CaptureBridge::refresh_pictures(std::int64_t now_ns) {
 void CaptureBridge::refresh(Refresh& of, CameraRole role, double rate_hz, std::int64_t now_ns) {
   if (rate_hz <= 0 || now_ns < of.next_ns) return;
   of.next_ns = now_ns + nanoseconds(1 / rate_hz);
-  if (const auto stalest = of.pictures.take(forwarder_.scene_version(), now_ns)) rigs_.reissue(role, *stalest);
+  if (const auto stalest = of.pictures.take(forwarder_.newest_version(), now_ns)) rigs_.reissue(role, *stalest);
 }
 
 void CaptureBridge::submit_round(InputRig& rig, bool all) {
@@ -344,11 +243,22 @@ void CaptureBridge::update_probes(std::int64_t now_ns) {
 }
 
 void CaptureBridge::publish_cameras() {
-  if (!rigs_.cameras().take_changed()) return;
-  publisher_.publish(topics::kEngineCameras, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
+  const bool changed = rigs_.cameras().take_changed();
+  const bool divided_anew = engines_.take_changed();
+  if (!changed && !divided_anew) return;
+  const std::vector<CameraRequest>& all = rigs_.cameras().requests();
+  if (!engines_.shared()) return publish_cameras(all, "");
+  // Whoever has none by name yet waits.
+  if (!std::exchange(divided_, true)) publish_cameras({}, "");
+  for (const auto& [engine, requests] : engines_.divide(all, bus::now_ns())) publish_cameras(requests, engine);
+}
+
+void CaptureBridge::publish_cameras(std::span<const CameraRequest> cameras, const std::string& engine) {
+  const bus::MessageInfo info{.latch_key = engine};
+  publisher_.publish(topics::kEngineCameras, info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
     std::vector<flatbuffers::Offset<wire::CameraRequest>> requests;
-    requests.reserve(rigs_.cameras().requests().size());
-    for (const CameraRequest& request : rigs_.cameras().requests()) {
+    requests.reserve(cameras.size());
+    for (const CameraRequest& request : cameras) {
       const wire::Camera camera = to_wire(request.camera);
       requests.push_back(wire::CreateCameraRequest(builder, &camera, request.buffers, request.rate_hz,
                                                    request.request_id, request.light_id,

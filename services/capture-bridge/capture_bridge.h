@@ -3,14 +3,18 @@
 #include <atomic>
 #include <chrono>
 #include <cstdint>
+#include <deque>
 #include <memory>
 #include <set>
+#include <span>
+#include <string>
 
 #include "bus/memory_pool.h"
 #include "bus/publisher.h"
 #include "bus/service.h"
 #include "bus/subscriber.h"
 #include "capture-bridge/blindness.h"
+#include "capture-bridge/engines.h"
 #include "capture-bridge/forwarder.h"
 #include "capture-bridge/input_worker.h"
 #include "capture-bridge/new_share.h"
@@ -25,15 +29,18 @@ namespace splatbus::capture_bridge {
 /// Counters of the bridge, as heartbeats show them.
 struct BridgeCounters {
   std::uint64_t frames = 0, frames_lost = 0;
-  std::uint64_t refused = 0;        ///< messages that make no sense
-  std::uint64_t glances = 0;        ///< input pictures that were sampled before their round was there
-  std::uint64_t inputs_blind = 0;   ///< input pictures of what is right before the camera
-  std::uint64_t ranges = 0;         ///< pictures of depth cubes
-  std::uint64_t poses_dropped = 0;  ///< of more viewers than can be followed
+  std::uint64_t frames_followed = 0;   ///< of engines that follow, with the version that they show
+  std::uint64_t frames_unmatched = 0;  ///< of such, dropped: no version shows the same
+  std::uint64_t refused = 0;           ///< messages that make no sense
+  std::uint64_t glances = 0;           ///< input pictures that were sampled before their round was there
+  std::uint64_t inputs_blind = 0;      ///< input pictures of what is right before the camera
+  std::uint64_t ranges = 0;            ///< pictures of depth cubes
+  std::uint64_t poses_dropped = 0;     ///< of more viewers than can be followed
   std::uint64_t inputs = 0, references = 0, probes = 0, probes_dropped = 0, light_depths = 0;
 };
 
-/// The service: asks the engine for cameras and hands its frames on. One thread calls step(); sampling runs on another.
+/// The service: asks the engines for cameras and hands their frames on. One thread calls step(); sampling runs on
+/// another. On a bus there is one that steps at a time.
 class CaptureBridge {
  public:
   /// `parameters` outlive the bridge. Input frames are kept and sampled where `backend` says. Throws std::runtime_error
@@ -42,6 +49,10 @@ class CaptureBridge {
 
   /// Handles what arrives within `timeout`, then what is due. Throws bus::Error when the device has failed for good.
   void step(std::chrono::milliseconds timeout);
+
+  /// Which engines there are, as the broker sees it.
+  void take(const wire::Liveness& liveness) { engines_.take(liveness); }
+  [[nodiscard]] const Engines& engines() const { return engines_; }
 
   [[nodiscard]] const BridgeCounters& counters() const { return counters_; }
   [[nodiscard]] InputStatistics input_statistics() const { return worker_.statistics(); }
@@ -55,8 +66,21 @@ class CaptureBridge {
   struct TrainerWatches {
     TrainerWatch references, inputs;
   };
+  /// A frame of an engine that follows, whose version may come.
+  struct WaitingFrame {
+    bus::Message message;
+    SceneState shows;
+    Camera camera;
+    std::uint64_t request_id = 0;
+    std::int64_t came_ns = 0;
+  };
   void subscribe();
   void handle_frame(const wire::EngineFrame& frame, const bus::Message& message);
+  void follow_frame(const wire::EngineFrame& frame, const bus::Message& message);
+  void use_waiting_frames(std::int64_t now_ns);
+  void drop_unmatched(const WaitingFrame& frame);
+  /// Of the scene that is shown.
+  void use_frame(const wire::EngineFrame& frame, const bus::Message& message);
   void handle_input(const bus::Message& message, const wire::EngineFrame& frame);
   void handle_light_depth(const bus::Message& message, const wire::EngineFrame& frame);
   void handle_probe_frame(const bus::Message& message, const wire::EngineFrame& frame);
@@ -75,12 +99,19 @@ class CaptureBridge {
   void submit_round(InputRig& rig, bool all);
   void submit_glance(InputRig& rig);
   void publish_cameras();
+  /// To all engines where none is named.
+  void publish_cameras(std::span<const CameraRequest> cameras, const std::string& engine);
 
   std::shared_ptr<bus::Context> context_;
   bus::LiveOptions<Options> options_;
   bus::Subscriber subscriber_;
   bus::Publisher publisher_;
   Forwarder forwarder_;
+  Engines engines_;
+  bool divided_ = false;
+  std::deque<WaitingFrame> waiting_;
+  std::uint64_t tried_version_ = 0;  // with those that wait
+  std::uint64_t waiting_refused_ = 0;
   RigControl rigs_;
   ProbeTable probes_;
   TrainerWatches trainer_watches_, standby_watches_;

@@ -5,6 +5,7 @@
 
 #include <algorithm>
 
+#include "bus/clock.h"
 #include "bus/frames.h"
 #include "bus/log_sink.h"
 #include "bus/memory.h"
@@ -60,14 +61,16 @@ void name_depths(SceneState& scene, std::uint64_t engine_epoch) {
 
 }  // namespace
 
-Forwarder::Forwarder(const std::shared_ptr<bus::Context>& context, Device kind) : publisher_(context), kind_(kind) {
-  // In nanoseconds since the machine started: a bridge that comes later counts on from a larger number.
-  scene_.version = context->epoch();
-}
+// In nanoseconds since the machine started: a bridge that comes later counts on from a larger number.
+Forwarder::Forwarder(const std::shared_ptr<bus::Context>& context, Device kind)
+    : publisher_(context),
+      kind_(kind),
+      versions_(static_cast<std::uint64_t>(bus::now_ns())),
+      shown_(versions_.newest()) {}
 
 bool Forwarder::reference(const bus::Message& message, const wire::EngineFrame& frame) {
   bus::MessageInfo info{.capture_ns = frame.header()->capture_ns()};
-  const bus::TracedWork work("forward reference", info.capture_ns, scene_.version);
+  const bus::TracedWork work("forward reference", info.capture_ns, shown_.state->version);
   auto color = message.forward_tensor("color");
   if (!color) return false;
   info.tensors.push_back(std::move(*color));
@@ -81,7 +84,7 @@ bool Forwarder::reference(const bus::Message& message, const wire::EngineFrame& 
   }
   const Camera camera = from_wire(*frame.camera());
   publisher_.publish(topics::kCaptureReference, info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
-    const auto scene_offset = to_wire(builder, scene_, frame.scene()->frame(), frame.scene()->time_s());
+    const auto scene_offset = to_wire(builder, *shown_.state, shown_.frame, shown_.time_s);
     const wire::Camera out = to_wire(camera);
     return wire::CreateCaptureReference(builder, header, &out, scene_offset, false);
   });
@@ -90,7 +93,7 @@ bool Forwarder::reference(const bus::Message& message, const wire::EngineFrame& 
 
 void Forwarder::retire(const Camera& camera) {
   publisher_.publish(topics::kCaptureReference, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
-    const auto scene = to_wire(builder, SceneState{.light = scene_.light, .objects = {}});
+    const auto scene = to_wire(builder, SceneState{.light = light(), .objects = {}});
     const wire::Camera out = to_wire(camera);
     return wire::CreateCaptureReference(builder, header, &out, scene, true);
   });
@@ -107,7 +110,7 @@ bool Forwarder::probe(const bus::Message& message, const wire::EngineFrame& fram
   Camera camera = from_wire(*frame.camera());
   camera.id = probe.camera.id;
   publisher_.publish(topics::kCaptureProbe, info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
-    const auto scene_offset = to_wire(builder, scene_, frame.scene()->frame(), frame.scene()->time_s());
+    const auto scene_offset = to_wire(builder, *shown_.state, shown_.frame, shown_.time_s);
     const wire::Camera out = to_wire(camera);
     return wire::CreateCaptureProbe(builder, header, probe.probe_id, &out, scene_offset);
   });
@@ -117,7 +120,7 @@ bool Forwarder::probe(const bus::Message& message, const wire::EngineFrame& fram
 bool Forwarder::light_depth(const bus::Message& message, const wire::EngineFrame& frame, std::uint32_t light_maps,
                             std::atomic<std::uint64_t>& host_bytes) {
   const Camera camera = from_wire(*frame.camera());
-  const bus::TracedWork work("forward light depth", frame.header()->capture_ns(), scene_.version);
+  const bus::TracedWork work("forward light depth", frame.header()->capture_ns(), shown_.state->version);
   const auto depth = message.tensor("light_depth", bus::ElementType::F32, {camera.height, camera.width});
   if (!depth || !depth->still_valid()) return false;
   const bus::TensorSource source{
@@ -134,7 +137,7 @@ bool Forwarder::light_depth(const bus::Message& message, const wire::EngineFrame
   if (kind_ == Device::Cpu || depth->memory() == Device::Cpu) host_bytes += depth->bytes();
   if (!depth->still_valid()) return false;
   publisher_.publish(topics::kSceneLightDepth, info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
-    const auto scene_offset = to_wire(builder, scene_, frame.scene()->frame(), frame.scene()->time_s());
+    const auto scene_offset = to_wire(builder, *shown_.state, shown_.frame, shown_.time_s);
     const wire::Camera out = to_wire(camera);
     return wire::CreateSceneLightDepth(builder, header, &out, scene_offset, key.first,
                                        static_cast<std::uint8_t>(key.second), static_cast<std::uint8_t>(light_maps));
@@ -155,33 +158,49 @@ bool Forwarder::scene(const wire::EngineFrame& frame, bool with_far_field) {
       spdlog::warn("engine/frame from {}: frame {} runs backwards, the newest is {}",
                    bus::printable(frame.header()->source()->string_view()), scene.frame(), *newest_frame_);
     }
+    if (unchanged) show(versions_.newest(), scene.frame(), scene.time_s());
     return unchanged;
   }
   if (!unchanged) {
     SceneState now = from_wire(scene);  // may throw, and then nothing is said or kept
     if (with_far_field) now.objects.insert_or_assign(kFarFieldFrame, far_field());
-    now.version = scene_.version + 1;
+    now.version = newest_version() + 1;
     name_depths(now, frame.header()->epoch());
-    scene_ = std::move(now);
+    versions_.add(std::move(now));
     std::erase_if(light_depth_rings_, [&](const auto& ring) {
-      return ring.first.first != 0 && std::ranges::none_of(scene_.light.sources, [&](const LightSource& source) {
+      return ring.first.first != 0 && std::ranges::none_of(light().sources, [&](const LightSource& source) {
                return source.id == ring.first.first;
              });
     });
-    masks_objects_ = std::ranges::any_of(scene_.objects, [](const auto& object) { return !object.second.modelled; });
     said_objects_ = std::move(objects_now);
     said_light_ = std::move(light_now);
     said_far_field_ = with_far_field;
   }
   engine_epoch_ = frame.header()->epoch();
   newest_frame_ = scene.frame();
+  versions_.seen(scene.frame(), scene.time_s());
+  show(versions_.newest(), scene.frame(), scene.time_s());
   if (unchanged) return true;
   const bus::MessageInfo info{.capture_ns = frame.header()->capture_ns()};
-  const bus::TracedWork work("publish scene", info.capture_ns, scene_.version);
+  const bus::TracedWork work("publish scene", info.capture_ns, newest_version());
   publisher_.publish(topics::kSceneState, info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
-    return wire::CreateSceneUpdate(builder, header, to_wire(builder, scene_, scene.frame(), scene.time_s()));
+    return wire::CreateSceneUpdate(builder, header, to_wire(builder, *shown_.state, scene.frame(), scene.time_s()));
   });
   return true;
+}
+
+bool Forwarder::follow(const SceneState& scene) {
+  const SceneVersion* const version = versions_.showing(scene);
+  if (version != nullptr) show(*version, version->frame, version->time_s);
+  return version != nullptr;
+}
+
+void Forwarder::show(const SceneVersion& version, std::uint64_t frame, double time_s) {
+  if (version.state != shown_.state) {
+    masks_objects_ =
+        std::ranges::any_of(version.state->objects, [](const auto& object) { return !object.second.modelled; });
+  }
+  shown_ = {.state = version.state, .frame = frame, .time_s = time_s};
 }
 
 }  // namespace splatbus::capture_bridge

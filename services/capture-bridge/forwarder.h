@@ -11,6 +11,7 @@
 #include "bus/subscriber.h"
 #include "bus/tensor_ring.h"
 #include "capture-bridge/probe_table.h"
+#include "capture-bridge/scene_versions.h"
 #include "gaussians/light.h"
 #include "wire/engine_generated.h"
 
@@ -21,7 +22,8 @@ namespace splatbus::capture_bridge {
 /// Not thread-safe.
 class Forwarder {
  public:
-  /// The light's depth is kept in memory of `kind`.
+  /// The light's depth is kept in memory of `kind`. Versions of the scene count on from the clock: whoever writes after
+  /// another, in its place or anew, begins with a larger number.
   Forwarder(const std::shared_ptr<bus::Context>& context, Device kind);
 
   /// Of the scene last taken, as the three below. capture/reference: colour, albedo, and depth where there is one, and
@@ -40,12 +42,20 @@ class Forwarder {
   /// With the far field among its objects, where asked for. Throws std::runtime_error, and changes nothing, when the
   /// scene makes no sense.
   [[nodiscard]] bool scene(const wire::EngineFrame& frame, bool with_far_field);
-  [[nodiscard]] std::uint64_t scene_version() const { return scene_.version; }
-  [[nodiscard]] const Light& light() const { return scene_.light; }
-  /// Whether that scene has objects that are not to be modelled: references then need to say where they show.
+  /// Of an engine that follows: takes the version that shows the same as the one that what is said next belongs to.
+  /// False, and changes nothing, when there is none.
+  [[nodiscard]] bool follow(const SceneState& scene);
+
+  /// What all that is said belongs to.
+  [[nodiscard]] const SceneVersion& shown() const { return shown_; }
+  [[nodiscard]] std::uint64_t newest_version() const { return versions_.newest().state->version; }
+  [[nodiscard]] const Light& light() const { return versions_.newest().state->light; }
+  /// Whether what is shown has objects that are not to be modelled: references then need to say where they show.
   [[nodiscard]] bool masks_objects() const { return masks_objects_; }
 
  private:
+  void show(const SceneVersion& version, std::uint64_t frame, double time_s);
+
   bus::Publisher publisher_;
   Device kind_;  // of the light's depth
   /// By light and map: what is latched of one stays while others change.
@@ -53,8 +63,9 @@ class Forwarder {
   std::uint64_t engine_epoch_ = 0;
   std::optional<std::uint64_t> newest_frame_;
   std::vector<std::uint8_t> said_objects_, said_light_;  // bytes of the frame's that were published last
-  SceneState scene_;
-  bool masks_objects_ = false;
+  SceneVersions versions_;
+  SceneVersion shown_;
+  bool masks_objects_ = false;  // of shown_
   bool said_far_field_ = false;
 };
 

@@ -13,8 +13,8 @@ namespace {
 constexpr std::chrono::seconds kPatience(90);
 constexpr std::int64_t kAskAgainNs = 1'500'000'000;
 
-LaunchPlan plan(const bus::Address& address, std::string& url) {
-  LaunchFile file = parse_launch_file(Pipeline::launch_file(), "pipeline.yaml");
+LaunchPlan plan(const std::string& text, const bus::Address& address, std::string& url) {
+  LaunchFile file = parse_launch_file(text, "pipeline.yaml");
   url = settle_gateway(file, 0)->url;
   return plan_launch(file, address, SPLATBUS_BIN_DIR);
 }
@@ -50,11 +50,11 @@ services:
 )";
 }
 
-Pipeline::Pipeline()
+Pipeline::Pipeline(const std::string& launch_file)
     : context_(bus::Context::create(folder_.address(), "pipeline-test")),
       watch_(context_),
       probes_(context_, circle_cameras({.count = 1, .size = 64, .phase_degrees = 45})),
-      run_(plan(folder_.address(), url_), folder_.path() / "services.log") {}
+      run_(plan(launch_file, folder_.address(), url_), folder_.path() / "services.log") {}
 
 std::map<std::string, pid_t> Pipeline::pids() const {
   std::map<std::string, pid_t> result;

@@ -16,7 +16,7 @@ namespace splatbus::cli {
 /// Every service as a process of its own, small, on a bus of its own, under the supervisor.
 class Pipeline {
  public:
-  Pipeline();
+  explicit Pipeline(const std::string& launch_file = Pipeline::launch_file());
 
   /// The launch file, as text.
   [[nodiscard]] static std::string launch_file();

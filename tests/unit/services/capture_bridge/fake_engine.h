@@ -6,6 +6,7 @@
 #include <memory>
 #include <set>
 #include <span>
+#include <string_view>
 #include <utility>
 #include <vector>
 
@@ -18,7 +19,7 @@
 
 namespace splatbus::capture_bridge::test {
 
-/// An engine on the bus that renders the analytic scene, one frame for each new request id.
+/// An engine on the bus that renders the analytic scene, one frame for each new request id; asked by name or not.
 class FakeEngine {
  public:
   /// Its pictures lie in memory of `kind`.
@@ -28,6 +29,10 @@ class FakeEngine {
   /// Takes in the newest camera set and renders what is new in it.
   void serve() {
     while (auto message = subscriber_.receive(std::chrono::milliseconds(0))) {
+      const auto* key = message->header().latch_key();
+      const std::string_view name = key == nullptr ? std::string_view() : key->string_view();
+      if (name.empty() ? named_ : name != publisher_.context()->source()) continue;
+      named_ = !name.empty();
       requests_.clear();
       for (const wire::CameraRequest* request : *message->root<wire::EngineCameras>().cameras()) {
         requests_.push_back({from_wire(*request->camera()), request->buffers(), request->request_id(),
@@ -162,6 +167,7 @@ class FakeEngine {
   bus::Publisher publisher_;
   bus::TensorRing ring_;
   std::vector<Request> requests_;
+  bool named_ = false;  // its bridge has asked it by name
   std::set<std::uint64_t> answered_;
 };
 

@@ -1,0 +1,23 @@
+#include "capture-bridge/seniority.h"
+
+#include <algorithm>
+
+#include "wire/system_generated.h"
+
+namespace splatbus::capture_bridge {
+
+std::vector<Senior> running(const wire::Liveness& liveness, std::string_view kind) {
+  std::vector<Senior> seniors;
+  if (liveness.nodes() == nullptr) return seniors;
+  for (const wire::Node* node : *liveness.nodes()) {
+    if (!node->alive() || node->state() != wire::ServiceState::Running || node->service()->string_view() != kind) {
+      continue;
+    }
+    seniors.push_back({.since_ns = node->epoch(), .name = node->source()->str()});
+  }
+  std::ranges::sort(seniors);
+  if (seniors.size() > kMaxSeniors) seniors.resize(kMaxSeniors);
+  return seniors;
+}
+
+}  // namespace splatbus::capture_bridge

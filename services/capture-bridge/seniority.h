@@ -1,0 +1,29 @@
+#pragma once
+
+#include <compare>
+#include <cstddef>
+#include <cstdint>
+#include <string>
+#include <string_view>
+#include <vector>
+
+namespace splatbus::wire {
+struct Liveness;
+}  // namespace splatbus::wire
+
+namespace splatbus::capture_bridge {
+
+/// A process by how long it has been there: who was first goes first, so that one that is started again leads nobody
+/// who has led meanwhile.
+struct Senior {
+  std::uint64_t since_ns = 0;  ///< CLOCK_MONOTONIC
+  std::string name;
+  auto operator<=>(const Senior&) const = default;
+};
+
+inline constexpr std::size_t kMaxSeniors = 64;
+
+/// Those of that kind that run, as the broker sees them: the first kMaxSeniors, oldest first.
+[[nodiscard]] std::vector<Senior> running(const wire::Liveness& liveness, std::string_view kind);
+
+}  // namespace splatbus::capture_bridge
