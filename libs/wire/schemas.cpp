@@ -9,6 +9,7 @@
 #include <string>
 #include <vector>
 
+#include "wire/share_topics.h"
 #include "wire/topics.h"
 #include "wire/trace_topics.h"
 
@@ -26,10 +27,11 @@ constexpr std::array kSchemas{kSchema<CaptureInput>,      kSchema<CaptureProbe>,
                               kSchema<SceneUpdate>,       kSchema<StreamStats>,
                               kSchema<StreamerOffer>,     kSchema<Topics>,
                               kSchema<TrainerStats>,      kSchema<ViewerPose>,
-                              kSchema<ViewerProbe>,       kSchema<ViewerQuality>};
+                              kSchema<ViewerProbe>,       kSchema<ViewerQuality>,
+                              kSchema<StreamShare>};
 /// A family before those that include it, so that a table's schema says no more than it has to.
-constexpr std::array<std::string_view, 8> kFamilies{"engine", "scene",  "capture", "model",
-                                                    "viewer", "system", "stream",  "trace"};
+constexpr std::array<std::string_view, 9> kFamilies{"engine", "scene",  "capture", "model", "viewer",
+                                                    "system", "stream", "trace",   "share"};
 
 /// By family, "system", or file, "foxglove/Log".
 const std::map<std::string_view, std::vector<std::uint8_t>>& files() {

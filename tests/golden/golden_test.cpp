@@ -19,6 +19,7 @@
 #include "wire/engine_generated.h"
 #include "wire/model_generated.h"
 #include "wire/scene_generated.h"
+#include "wire/share_generated.h"
 #include "wire/stream_generated.h"
 #include "wire/system_generated.h"
 #include "wire/trace_generated.h"
@@ -29,7 +30,8 @@ namespace {
 
 const std::filesystem::path source_dir = SPLATBUS_SOURCE_DIR;
 const auto golden_dir = source_dir / "tests" / "golden" / "messages";
-const char* const families[] = {"common", "engine", "scene", "capture", "model", "viewer", "system", "stream", "trace"};
+const char* const families[] = {"common", "engine", "scene",  "capture", "model",
+                                "viewer", "system", "stream", "trace",   "share"};
 
 std::string load(const std::filesystem::path& path, bool binary) {
   std::string text;
@@ -154,6 +156,7 @@ TEST(GoldenFiles, GeneratedCodeReadsThem) {
       {"Control", verify<wire::Control>},
       {"Spans", verify<wire::Spans>},
       {"TraceRequest", verify<wire::TraceRequest>},
+      {"StreamShare", verify<wire::StreamShare>},
       {"Packet.Hello", verify<wire::Packet>}};
   for (const auto& [name, reads] : readers) {
     const auto bytes = load(golden_dir / (name + ".bin"), true);
