@@ -14,8 +14,19 @@ StreamModel::StreamModel(PacketWriter writer, std::uint64_t stream_epoch, const 
       options_(options),
       quantizer_(device),
       selection_(StreamLayout{}, options_.schedules, options_.calm_ticks),
-      precision_(StreamLayout{}, options_.coarseness) {
+      precision_(StreamLayout{}, options_.coarseness),
+      own_epoch_(stream_epoch) {
   held_.epoch = stream_epoch;
+}
+
+void StreamModel::join(const StreamOrigin& origin) {
+  set_ready(false);
+  origin_ = origin;
+}
+
+void StreamModel::raise_version(std::uint32_t version) {
+  const std::scoped_lock lock(mutex_);
+  version_ = std::max(version_, version);
 }
 
 void StreamModel::set_schedules(const Schedules& schedules) {
@@ -128,10 +139,13 @@ void StreamModel::reset_to_target() {
   assert(observed());
   {
     const std::scoped_lock lock(mutex_);
-    const std::uint64_t epoch = held_.epoch + 1;
+    // Versions of an epoch are never used again: where this one was left, and is joined anew, they go on.
+    const bool same = origin_ && origin_->epoch == held_.epoch;
+    version_ = std::max(same ? version_ : 0, origin_ ? origin_->version : 0);
+    const std::uint64_t epoch = origin_ ? origin_->epoch : ++own_epoch_;
+    origin_.reset();
     held_ = {};
     held_.epoch = epoch;
-    version_ = 0;
     held_.layout = *target_layout_;
     held_.gaussians = HeldGaussians(held_.layout);
     hold_scene();

@@ -40,6 +40,14 @@ struct LightsVisibility {
   std::span<const std::uint8_t> covered;  ///< of each page of indices: 0 where of_index says nothing; empty: it is all
 };
 
+/// A stream that another streamer has begun and this one goes on with, each with pages of its own.
+struct StreamOrigin {
+  std::uint64_t epoch = 0;
+  ParameterLayout layout;     ///< that this is about: a model of another one begins a stream of its own
+  float mean_step = 0;        ///< m, of the Layout's Mean
+  std::uint32_t version = 0;  ///< this streamer's pages have larger ones
+};
+
 /// A page that viewers may have.
 struct OfferedPage {
   std::uint32_t page = 0, version = 0, structure = 0, count = 0;
@@ -107,6 +115,10 @@ class StreamModel {
   void reset_to_target();
   /// Nobody holds anything any more: the next reset_to_target() may choose other quantizers.
   void release() { set_ready(false); }
+  /// The same, but what the next reset_to_target() begins is that stream, where the model is of its layout.
+  void join(const StreamOrigin& origin);
+  /// Pages that change from now on have larger versions.
+  void raise_version(std::uint32_t version);
   /// False before the first reset_to_target(), after release(), and when the observed layout is another one: only
   /// reset_to_target() helps.
   [[nodiscard]] bool ready() const { return ready_; }
@@ -128,6 +140,7 @@ class StreamModel {
     std::uint32_t version = 0;  ///< of the newest page
     std::size_t gaussians = 0, pages = 0;
     ParameterLayout layout;
+    float mean_step = 0;  ///< m, of the epoch's Layout
   };
   /// Of what is offered.
   [[nodiscard]] Status status() const;
@@ -138,9 +151,10 @@ class StreamModel {
   /// The page as it is now, in parts of `part_lanes` (a multiple of kBlockRows); nothing when it is no more. A
   /// version's blob is encoded once.
   [[nodiscard]] std::vector<PagePacket> page_packets(std::uint32_t page, std::uint32_t part_lanes = kPageLanes);
-  /// Which pages there are: those of `pages`.
+  /// Which pages there are: those of `pages`. `gaussians`: in all pages, where others have some that are not in here.
   [[nodiscard]] std::vector<EncodedPacket> manifest_packets(std::span<const OfferedPage> pages,
-                                                            std::span<const std::uint32_t> gone, bool whole) const;
+                                                            std::span<const std::uint32_t> gone, bool whole,
+                                                            std::optional<std::size_t> gaussians = {}) const;
   [[nodiscard]] EncodedPacket gone_packet(std::span<const std::uint32_t> pages) const;
 
   /// The packet that brings a newer scene to who holds the one before: none where its version is the one that is held,
@@ -328,6 +342,8 @@ class StreamModel {
 
   std::optional<std::set<std::uint32_t>> holders_now_;  ///< of both, when the tick began
 
+  std::uint64_t own_epoch_;             ///< of the newest stream that was begun here
+  std::optional<StreamOrigin> origin_;  ///< of the stream that the next reset joins
   std::optional<StreamLayout> target_layout_;
   QuantizedGaussians read_;  ///< by the last observation, range after range
   std::vector<std::uint8_t> read_usable_;

@@ -35,7 +35,8 @@ StreamModel::Status StreamModel::status() const {
           .version = version_,
           .gaussians = held_.count,
           .pages = held_.pages.size(),
-          .layout = held_.layout.parameters()};
+          .layout = held_.layout.parameters(),
+          .mean_step = held_.layout.at(Attribute::Mean).quantizer.step};
 }
 
 std::shared_ptr<const std::vector<OfferedPage>> StreamModel::offered() const {
@@ -128,7 +129,8 @@ std::vector<PagePacket> StreamModel::page_packets(std::uint32_t number, std::uin
 }
 
 std::vector<EncodedPacket> StreamModel::manifest_packets(std::span<const OfferedPage> pages,
-                                                         std::span<const std::uint32_t> gone, bool whole) const {
+                                                         std::span<const std::uint32_t> gone, bool whole,
+                                                         std::optional<std::size_t> gaussians) const {
   std::vector<EncodedPacket> out;
   const Status now = status();
   const double bytes_per_gaussian = [&] {
@@ -149,7 +151,7 @@ std::vector<EncodedPacket> StreamModel::manifest_packets(std::span<const Offered
     out.push_back(writer_.write(now.epoch, 0, wire::Body::Manifest, [&](auto& builder) {
       const auto pages_at = builder.CreateVectorOfStructs(infos);
       const auto gone_at = out.empty() ? builder.CreateVector(gone.data(), gone.size()) : 0;
-      return wire::CreateManifest(builder, whole && out.empty(), pages_at, gone_at, now.gaussians,
+      return wire::CreateManifest(builder, whole && out.empty(), pages_at, gone_at, gaussians.value_or(now.gaussians),
                                   first < pages.size());
     }));
   } while (first < pages.size());

@@ -34,8 +34,9 @@ bool StreamModel::observe(const GaussiansView& gaussians, const std::function<bo
     throw StreamError(fmt::format("model: {} Gaussians, at most {} can be read", gaussians.count, kMaxModelGaussians));
   }
   const bool another = !target_layout_ || !target_layout_->carries(gaussians.layout);
-  const StreamLayout layout =
-      another || !ready_ ? StreamLayout(gaussians.layout, quantizer_.choose_mean_step(gaussians)) : *target_layout_;
+  if (origin_ && !StreamLayout(origin_->layout, origin_->mean_step).carries(gaussians.layout)) origin_.reset();
+  const auto mean_step = [&] { return origin_ ? origin_->mean_step : quantizer_.choose_mean_step(gaussians); };
+  const StreamLayout layout = another || !ready_ ? StreamLayout(gaussians.layout, mean_step()) : *target_layout_;
   const bool mirrored = ready_ && !another;
   Reading reading = ranges_to_read(gaussians, !mirrored);
   GaussiansView part = gaussians;
