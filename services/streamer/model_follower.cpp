@@ -2,6 +2,7 @@
 
 #include <sys/eventfd.h>
 
+#include <algorithm>
 #include <cassert>
 #include <utility>
 
@@ -12,6 +13,12 @@
 #include "stream/bytes.h"
 
 namespace splatbus::streamer {
+
+namespace {
+
+constexpr double kLeastShare = 1e-3;  // of the model: what is spent for less is not worth a budget
+
+}  // namespace
 
 ModelFollower::ModelFollower(stream::StreamModel& model, Device device)
     : model_(model), device_(device), done_event_(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
@@ -73,10 +80,10 @@ void ModelFollower::run() {
   }
 }
 
-bool ModelFollower::observe(const std::optional<bus::Message>& announcement) {
-  if (announcement) {
-    const bool sensible = bus::guarded(*announcement, [&] {
-      auto opened = PublishedModel::open(*announcement, device_, PublishedModel::Need::Average,
+std::optional<ModelFollower::Observed> ModelFollower::observe(const Job& job) {
+  if (job.announcement) {
+    const bool sensible = bus::guarded(*job.announcement, [&] {
+      auto opened = PublishedModel::open(*job.announcement, device_, PublishedModel::Need::Average,
                                          published_ ? &*published_ : nullptr);
       if (!opened) return;
       if (published_) copied_before_ += published_->copied_bytes();
@@ -84,8 +91,15 @@ bool ModelFollower::observe(const std::optional<bus::Message>& announcement) {
     });
     if (!sensible) bus::require_usable(device_);
   }
-  if (!published_ || !published_->refresh()) return false;
-  return model_.observe(published_->average(), [&] { return published_->still_valid(); });
+  if (!published_ || !published_->refresh()) return std::nullopt;
+  const auto still_valid = [&] { return published_->still_valid(); };
+  if (!job.share.pages) {
+    if (!model_.observe(published_->average(), still_valid)) return std::nullopt;
+    return Observed{.all = model_.observed_count(), .own = model_.observed_count()};
+  }
+  const PartOfModel part(published_->average(), *job.share.pages);
+  if (!model_.observe(part.view, still_valid)) return std::nullopt;
+  return Observed{.all = part.all, .own = part.own};
 }
 
 ModelFollower::Result ModelFollower::follow(Job& job) {
@@ -93,13 +107,22 @@ ModelFollower::Result ModelFollower::follow(Job& job) {
   const std::int64_t begin_ns = bus::now_ns(), begin_cpu_ns = bus::thread_cpu_ns();
   Result result;
   try {
-    result.fresh = observe(job.announcement);
-    if (result.fresh) result.generation = published_->generation();
-    // An empty model is not worth a beginning: the first Gaussians choose the quantizers.
+    if (job.share.origin) model_.join(*job.share.origin);
+    model_.raise_version(job.share.raise_version);
+    const std::optional<Observed> observed = observe(job);
+    result.fresh = observed.has_value();
+    if (result.fresh) {
+      result.generation = published_->generation();
+      observed_ = observed->all;
+    }
+    // An empty model is not worth a beginning: the first Gaussians choose the quantizers. Where others have chosen
+    // them, this one may have no page.
     if (result.fresh && model_.ready()) {
+      const double share =
+          observed->all > 0 ? static_cast<double>(observed->own) / static_cast<double>(observed->all) : 1;
       model_.set_holders(std::move(job.holders));
-      result.spent_bytes = model_.make_tick(job.budget_bytes, job.cameras);
-    } else if (result.fresh && model_.observed_count() > 0) {
+      result.spent_bytes = model_.make_tick(share * job.budget_bytes, job.cameras) / std::max(share, kLeastShare);
+    } else if (result.fresh && observed->all > 0) {
       model_.reset_to_target();
       result.restarted = true;
     }
@@ -107,7 +130,7 @@ ModelFollower::Result ModelFollower::follow(Job& job) {
     result.error = error.what();
   }
   result.opened = published_.has_value();
-  result.observed = model_.observed_count();
+  result.observed = observed_;
   result.unsent = model_.unsent();
   result.pending_deltas = model_.pending_deltas();
   result.full = model_.full();

@@ -16,6 +16,7 @@
 #include "gaussians/camera.h"
 #include "model/published_model.h"
 #include "stream/stream_model.h"
+#include "streamer/sharing.h"
 
 namespace splatbus::streamer {
 
@@ -30,6 +31,7 @@ class ModelFollower {
     std::vector<Camera> cameras;
     std::set<std::uint32_t> holders;  ///< pages that anybody holds and follows by deltas
     std::uint64_t scene_version = 0;  ///< that viewers have been sent, for the trace
+    TickShare share;                  ///< of `budget_bytes` it has the part that its Gaussians are of all
   };
   /// After a job.
   struct Result {
@@ -37,7 +39,8 @@ class ModelFollower {
     bool fresh = false;            ///< it could be observed
     bool restarted = false;        ///< the stream was reset to it: everybody starts over
     std::uint64_t generation = 0;  ///< of what was observed; with `fresh`
-    double spent_bytes = 0, ms = 0, cpu_ms = 0;
+    double spent_bytes = 0;        ///< of the job's budget
+    double ms = 0, cpu_ms = 0;
     std::size_t observed = 0, unsent = 0, pending_deltas = 0;
     bool full = false;
     std::uint64_t host_copied_bytes = 0, observed_bytes = 0;
@@ -63,12 +66,16 @@ class ModelFollower {
  private:
   void run();
   [[nodiscard]] Result follow(Job& job);
-  [[nodiscard]] bool observe(const std::optional<bus::Message>& announcement);
+  struct Observed {
+    std::size_t all = 0, own = 0;  ///< Gaussians
+  };
+  [[nodiscard]] std::optional<Observed> observe(const Job& job);
 
   stream::StreamModel& model_;
   Device device_;
   std::optional<PublishedModel> published_;  // the thread's own
   std::uint64_t copied_before_ = 0;          // too: bytes of models that were open before
+  std::size_t observed_ = 0;                 // too: Gaussians of the newest, other replicas' included
   bus::FileDescriptor done_event_;
   bool busy_ = false;  // the owner's
 

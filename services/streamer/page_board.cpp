@@ -15,8 +15,10 @@ bool same_manifest(const stream::OfferedPage& a, const stream::OfferedPage& b) {
 
 }  // namespace
 
-std::vector<std::uint32_t> PageBoard::add(stream::StreamUpdate update, std::vector<stream::OfferedPage>& changed) {
+std::vector<std::uint32_t> PageBoard::add(stream::StreamUpdate update, BoardPages pages,
+                                          std::vector<stream::OfferedPage>& changed) {
   ++edition_;
+  offer_others(pages);
   for (stream::DeltaPacket& delta : update.deltas) {
     auto packet = std::make_shared<WirePacket>(delta.packet);
     bytes_ += packet->bytes();
@@ -26,7 +28,7 @@ std::vector<std::uint32_t> PageBoard::add(stream::StreamUpdate update, std::vect
     bytes_ -= deltas_.front().packet->bytes();
     deltas_.pop_front();
   }
-  const auto before = std::exchange(offered_, model_.offered());
+  const auto before = std::exchange(offered_, std::move(pages.all));
   std::vector<std::uint32_t> gone;
   for (const stream::OfferedPage& page : *before) {
     if (!find(page.page)) gone.push_back(page.page);
@@ -38,7 +40,8 @@ std::vector<std::uint32_t> PageBoard::add(stream::StreamUpdate update, std::vect
   }
   std::erase_if(pages_, [&](const auto& entry) {
     const stream::OfferedPage* page = find(entry.first.first);
-    return !page || page->version != entry.second->version;
+    return !page || page->version > entry.second->version ||
+           (page->version < entry.second->version && !is_of_others(page->page));
   });
   return gone;
 }
@@ -49,6 +52,10 @@ void PageBoard::clear() {
   bytes_ = 0;
   pages_.clear();
   offered_ = std::make_shared<std::vector<stream::OfferedPage>>();
+  of_others_.clear();
+  seen_.clear();
+  wanted_.clear();
+  visibility_version_ = 0;
 }
 
 const stream::OfferedPage* PageBoard::find(std::uint32_t page) const {
@@ -57,7 +64,15 @@ const stream::OfferedPage* PageBoard::find(std::uint32_t page) const {
 }
 
 std::shared_ptr<const SharedPage> PageBoard::page(std::uint32_t number, bool in_parts) {
+  const bool of_others = is_of_others(number);
+  if (const stream::OfferedPage* small = find(number); of_others && small && small->count <= stream::kBlockRows) {
+    in_parts = false;  // it is one
+  }
   if (const auto kept = pages_.find({number, in_parts}); kept != pages_.end()) return kept->second;
+  if (of_others) {
+    need({number, in_parts ? wire::SharePart::Parts : wire::SharePart::Whole});
+    return {};
+  }
   auto page = std::make_shared<SharedPage>();
   std::size_t bytes = 0;
   for (const stream::PagePacket& part :
@@ -68,16 +83,21 @@ std::shared_ptr<const SharedPage> PageBoard::page(std::uint32_t number, bool in_
     bytes += page->parts.back()->bytes();
   }
   if (page->parts.empty()) return {};
-  if (const stream::OfferedPage* offered = find(number); offered && offered->count > 0) {
-    bytes_per_gaussian_ += 0.1 * (static_cast<double>(bytes) / offered->count - bytes_per_gaussian_);
-  }
+  learn_bytes(number, bytes);
   return pages_[{number, in_parts}] = std::move(page);
+}
+
+void PageBoard::learn_bytes(std::uint32_t page, std::size_t bytes) {
+  const stream::OfferedPage* offered = find(page);
+  if (!offered || offered->count == 0) return;
+  bytes_per_gaussian_ += 0.1 * (static_cast<double>(bytes) / offered->count - bytes_per_gaussian_);
 }
 
 void PageBoard::forget(const std::vector<wire::SeenPage>& pages) {
   for (const wire::SeenPage& page : pages) {
     pages_.erase({page.page(), false});
     pages_.erase({page.page(), true});
+    seen_.erase(page.page());
   }
 }
 

@@ -5,10 +5,14 @@
 #include <deque>
 #include <map>
 #include <memory>
+#include <optional>
+#include <span>
+#include <utility>
 #include <vector>
 
 #include "stream/stream_model.h"
 #include "streamer/endpoint.h"
+#include "streamer/share_message.h"
 
 namespace splatbus::streamer {
 
@@ -26,14 +30,26 @@ struct SharedPage {
   std::vector<SharedPacket> parts;
 };
 
-/// What viewers may be sent: the pages that are offered, and the last deltas, each packet made once. One thread.
+/// All pages that there are, by number, and of which of them other replicas make the packets.
+struct BoardPages {
+  std::shared_ptr<const std::vector<stream::OfferedPage>> all;
+  std::vector<std::uint32_t> of_others;  ///< ascending
+};
+
+/// What viewers may be sent: the pages that are offered, and the last deltas, each packet made once, here or by another
+/// replica. One thread.
 class PageBoard {
  public:
   PageBoard(stream::StreamModel& model, std::size_t history_bytes) : model_(model), max_bytes_(history_bytes) {}
 
   /// After a tick of the model. Returns the pages that ended, and in `changed` those that viewers' manifests lack or
   /// have otherwise.
-  std::vector<std::uint32_t> add(stream::StreamUpdate update, std::vector<stream::OfferedPage>& changed);
+  std::vector<std::uint32_t> add(stream::StreamUpdate update, std::vector<stream::OfferedPage>& changed) {
+    return add(std::move(update), {.all = model_.offered(), .of_others = {}}, changed);
+  }
+  /// Where others encode some of the pages.
+  std::vector<std::uint32_t> add(stream::StreamUpdate update, BoardPages pages,
+                                 std::vector<stream::OfferedPage>& changed);
   /// After the model was reset.
   void clear();
 
@@ -44,14 +60,38 @@ class PageBoard {
   /// Grows with every change of what is offered.
   [[nodiscard]] std::uint64_t edition() const { return edition_; }
 
-  /// As the model has it now; null when it is no more. In one part, or in parts of stream::kBlockRows lanes.
+  /// As the model has it now; null when it is no more, or another replica's that has not come yet: then it is asked
+  /// for. In one part, or in parts of stream::kBlockRows lanes.
   [[nodiscard]] std::shared_ptr<const SharedPage> page(std::uint32_t page, bool in_parts);
+  /// How a page sees each light, the same; empty where page() would be null.
+  [[nodiscard]] std::vector<SharedPacket> page_visibility(std::uint32_t page);
+  [[nodiscard]] bool is_of_others(std::uint32_t page) const;
+  /// In all pages; nullopt where none is of others.
+  [[nodiscard]] std::optional<std::size_t> gaussians() const { return gaussians_; }
   /// Their lights' visibility has changed: what was made of them does not tell.
   void forget(const std::vector<wire::SeenPage>& pages);
+  [[nodiscard]] std::vector<stream::EncodedPacket> manifest_packets(std::span<const stream::OfferedPage> pages,
+                                                                    std::span<const std::uint32_t> gone,
+                                                                    bool whole) const {
+    return model_.manifest_packets(pages, gone, whole, gaussians_);
+  }
+
+  /// Another replica's answer; what has become older than what is offered is not taken.
+  void take(ShareAnswer answer);
+  /// What to ask others for now: of each at most every kAskNs, while somebody needs it.
+  [[nodiscard]] std::vector<ShareWant> take_wants(std::int64_t now_ns);
+  static constexpr std::int64_t kAskNs = 200'000'000;
+  /// Visibility of several replicas is of several scenes: its version is written anew so that none runs backwards.
+  void stamp(stream::EncodedPacket& visibility);
+  [[nodiscard]] std::uint64_t visibility_version() const { return visibility_version_; }
   /// Bytes of a page, as far as that is known.
   [[nodiscard]] double bytes_of(const stream::OfferedPage& page) const;
 
  private:
+  void offer_others(BoardPages& pages);
+  void need(const ShareWant& want) { wanted_[want].needed = true; }
+  void learn_bytes(std::uint32_t page, std::size_t bytes);
+
   stream::StreamModel& model_;
   std::size_t max_bytes_, bytes_ = 0;
   std::uint64_t number_ = 0, edition_ = 0;
@@ -60,6 +100,16 @@ class PageBoard {
       std::make_shared<std::vector<stream::OfferedPage>>();
   std::deque<SharedDelta> deltas_;
   std::map<std::pair<std::uint32_t, bool>, std::shared_ptr<const SharedPage>> pages_;
+
+  struct Wanted {
+    bool needed = false;  ///< since it was asked for
+    std::int64_t asked_ns = 0;
+  };
+  std::vector<std::uint32_t> of_others_;
+  std::optional<std::size_t> gaussians_;       ///< in all pages, where others have some
+  std::map<std::uint32_t, ShareAnswer> seen_;  ///< of others' pages
+  std::map<ShareWant, Wanted> wanted_;
+  std::uint64_t visibility_version_ = 0;
 };
 
 }  // namespace splatbus::streamer

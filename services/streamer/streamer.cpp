@@ -16,6 +16,8 @@
 #include "wire/convert.h"
 #include "wire/model_generated.h"
 #include "wire/scene_generated.h"
+#include "wire/share_topics.h"
+#include "wire/system_generated.h"
 #include "wire/viewer_generated.h"
 
 namespace splatbus::streamer {
@@ -45,6 +47,7 @@ Streamer::Streamer(bus::ServiceContext& service)
       model_(writer_, service.bus->epoch(), options_->stream, service.backend),
       hub_(endpoint_, model_, writer_, options_->hub, events()),
       others_(service.bus->address().is_local()),
+      sharing_(service.bus->source(), publisher_, model_, hub_, others_, static_cast<double>(options_->hub.tick_hz)),
       follower_(model_, service.backend) {
   subscribe();
   publish_offer();
@@ -80,7 +83,8 @@ void Streamer::run() {
 }
 
 void Streamer::wait_and_step() {
-  const std::int64_t due_ns = follower_.busy() ? next_stats_ns_ : std::min(next_tick_ns_, next_stats_ns_);
+  std::int64_t due_ns = follower_.busy() ? next_stats_ns_ : std::min(next_tick_ns_, next_stats_ns_);
+  due_ns = std::min(due_ns, sharing_.due_ns().value_or(due_ns));
   const std::int64_t wait_ns = std::clamp<std::int64_t>(due_ns - bus::now_ns(), 0, blocked_ ? kBlockedNs : kIdleNs);
   zmq::pollitem_t items[]{{endpoint_.socket(), 0, ZMQ_POLLIN, 0},
                           {subscriber_.zmq_socket(), 0, ZMQ_POLLIN, 0},
@@ -92,6 +96,7 @@ void Streamer::wait_and_step() {
 void Streamer::drain() {
   if (hub_.viewers() == 0 || !others_.others_serve(service_.bus->source())) return;
   draining_ = true;
+  sharing_.drain();
   publish_offer();
   service_.detail("its viewers move to another streamer");
   const std::int64_t end_ns = bus::now_ns() + static_cast<std::int64_t>(options_->drain_s * 1e9);
@@ -101,7 +106,9 @@ void Streamer::drain() {
 void Streamer::take_messages(std::int64_t now_ns) {
   subscriber_.dispatch_all(0ms);
   if (!follower_.busy()) send_visibility(now_ns);
+  pass_updates(now_ns);
   blocked_ = hub_.pump(now_ns);
+  sharing_.publish_wants(now_ns);
 }
 
 void Streamer::turn(std::int64_t now_ns) {
@@ -118,11 +125,13 @@ void Streamer::step(std::int64_t now_ns) {
   hub_.receive(now_ns);  // before anything is sent: how long the way is, is found from when that is said
   take_messages(now_ns);
   // The first Gaussians do not wait for the tick.
-  const bool first = announcement_ && !model_.status().ready && hub_.is_followed();
-  if (!follower_.busy() && (now_ns >= next_tick_ns_ || first)) {
+  const bool first = announcement_ && !model_.status().ready && is_followed();
+  if (!follower_.busy() && (now_ns >= next_tick_ns_ || first) && sharing_.may_begin(now_ns)) {
     begin_tick(now_ns);
     const auto period_ns = static_cast<std::int64_t>(1e9 / static_cast<double>(options_->hub.tick_hz));
     next_tick_ns_ = std::max(next_tick_ns_ + period_ns, now_ns);
+    // Replicas of one machine tick together: what they make goes to viewers at once.
+    if (sharing_.active()) next_tick_ns_ = (now_ns / period_ns + 1) * period_ns;
   }
   blocked_ = hub_.pump(now_ns);
   hub_.expire(now_ns);
@@ -130,14 +139,23 @@ void Streamer::step(std::int64_t now_ns) {
   if (now_ns >= next_stats_ns_) {
     endpoint_.require_intact();
     hub_.send_keepalive(now_ns);
+    sharing_.publish_still(now_ns);
     publish_statistics(now_ns);
     next_stats_ns_ = std::max(next_stats_ns_ + kSecondNs, now_ns);
   }
 }
 
 void Streamer::subscribe() {
-  stream::follow_offers(subscriber_, others_, now_ns_);
   subscriber_
+      .on(topics::kStreamerOffer,
+          [this](const wire::StreamerOffer& body, const bus::Message&) { others_.take(body, now_ns_); })
+      .on(topics::kLiveness,
+          [this](const wire::Liveness& body, const bus::Message&) {
+            others_.take(body, now_ns_);
+            sharing_.take(body);
+          })
+      .on(topics::kStreamShare,
+          [this](const wire::StreamShare& body, const bus::Message&) { sharing_.take(body, now_ns_); })
       .on(topics::kModelPublished,
           [this](const wire::ModelPublished&, const bus::Message& message) { announcement_ = message; })
       .on(topics::kSceneState, [this](const wire::SceneUpdate& body, const bus::Message&) { take_scene(body); })
@@ -154,6 +172,7 @@ void Streamer::take_scene(const wire::SceneUpdate& body) {
   const auto packet = model_.take_scene(scene, {.frame = wired.frame(), .capture_ns = body.header()->capture_ns()});
   scene_version_ = scene.version;
   hub_.set_objects(scene.objects);
+  sharing_.set_scene(scene);
   if (packet) hub_.add_scene(*packet);
 }
 
@@ -248,6 +267,7 @@ void Streamer::send_visibility(std::int64_t now_ns) {
                                           visibility_balance_bytes_);
     relit->second.sent = model_.visibility_rests();
     for (const auto& packet : packets) visibility_balance_bytes_ -= static_cast<double>(packet.packet.bytes());
+    sharing_.publish_visibility(packets);
     hub_.add_visibility(std::move(packets));
   } catch (const stream::StreamError& error) {
     if (log_limiter_.allow()) spdlog::error("{}", error.what());
@@ -277,8 +297,8 @@ void Streamer::forward_probe(const wire::CaptureProbe& body, const bus::Message&
 
 void Streamer::begin_tick(std::int64_t now_ns) {
   // Whoever comes back soon goes on with what it holds.
-  if (hub_.empty_s(now_ns) > kKeepForNobody_s) model_.release();
-  if (!hub_.is_followed()) {
+  if (hub_.empty_s(now_ns) > kKeepForNobody_s && !sharing_.others_are_followed()) model_.release();
+  if (!is_followed()) {
     service_.detail(ticked_.opened ? "waits for viewers" : "waits for model/published");
     return;
   }
@@ -287,14 +307,15 @@ void Streamer::begin_tick(std::int64_t now_ns) {
     hub_.set_rates(options_->hub.viewer_kbps, options_->hub.join_kbps);
   }
   // What no viewer has room for would only make all of them late.
-  const double bytes_per_s = std::min(options_->budget_kbps * 125, hub_.delta_bytes_per_s().value_or(kUnlimited));
+  const double bytes_per_s = std::min(options_->budget_kbps * 125, sharing_.delta_bytes_per_s().value_or(kUnlimited));
   const double per_tick = bytes_per_s / static_cast<double>(options_->hub.tick_hz);
   balance_bytes_ = std::min(balance_bytes_ + per_tick, per_tick);
   follower_.start({.announcement = std::exchange(announcement_, std::nullopt),
                    .budget_bytes = std::max(balance_bytes_, 0.0),
-                   .cameras = hub_.cameras(),
-                   .holders = hub_.followed_pages(),
-                   .scene_version = scene_version_});
+                   .cameras = sharing_.cameras(),
+                   .holders = sharing_.holders(now_ns),
+                   .scene_version = scene_version_,
+                   .share = sharing_.begin_tick(now_ns)});
 }
 
 void Streamer::end_tick(std::int64_t now_ns) {
@@ -315,14 +336,19 @@ void Streamer::end_tick(std::int64_t now_ns) {
     for (auto& [generation, relit] : relit_) relit.sent = false;
   }
   if (result->restarted) {
-    hub_.restart_all();
+    sharing_.restart(now_ns);
+    hub_.restart_all(sharing_.pages());
     for (auto& [generation, relit] : relit_) relit.sent = false;
   } else {
-    hub_.add(std::move(update));
+    sharing_.end_tick(std::move(update), now_ns);
   }
   if (!result->error.empty() && log_limiter_.allow()) spdlog::error("{}", result->error);
   say_what_is_served(*result);
   take_messages(now_ns);
+}
+
+void Streamer::pass_updates(std::int64_t now_ns) {
+  if (auto update = sharing_.take_due(now_ns)) hub_.add(std::move(*update), sharing_.pages());
 }
 
 }  // namespace splatbus::streamer

@@ -15,6 +15,7 @@
 #include "streamer/endpoint.h"
 #include "streamer/model_follower.h"
 #include "streamer/parameters.h"
+#include "streamer/sharing.h"
 #include "streamer/viewer_hub.h"
 
 namespace splatbus::streamer {
@@ -54,6 +55,9 @@ class Streamer {
   void step(std::int64_t now_ns);
   void begin_tick(std::int64_t now_ns);
   void end_tick(std::int64_t now_ns);
+  /// Viewers get what ticks here and elsewhere have made.
+  void pass_updates(std::int64_t now_ns);
+  [[nodiscard]] bool is_followed() const { return hub_.is_followed() || sharing_.others_are_followed(); }
   void take_visibility(const wire::RelightVisibility& body, const bus::Message& message);
   void merge_visibility(const wire::RelightVisibility& body, const std::vector<std::uint8_t>& part);
   void send_visibility(std::int64_t now_ns);
@@ -95,6 +99,7 @@ class Streamer {
   };
   Load load_;
   stream::StreamerChoice others_;
+  Sharing sharing_;
   std::int64_t now_ns_ = 0;
   bool draining_ = false;
   bus::LogLimiter log_limiter_;

@@ -102,7 +102,7 @@ SharedPacket ViewerFeed::choose(stream::StreamModel& model, PageBoard& board, co
     return affords(kind, packet, now_ns) ? packet : SharedPacket();
   };
   if (control_.empty() && std::exchange(manifest_is_due_, false)) {
-    for (const auto& packet : model.manifest_packets(board.offered(), {}, true)) {
+    for (const auto& packet : board.manifest_packets(board.offered(), {}, true)) {
       control_.push_back(std::make_shared<WirePacket>(packet));
     }
   }
@@ -161,10 +161,9 @@ bool ViewerFeed::begin_item(stream::StreamModel& model, PageBoard& board, const 
   }
   if (item.visibility) {
     if (!held_.contains(item.page)) return false;
-    for (const stream::EncodedPacket& packet : model.page_visibility(item.page)) {
-      page_visibility_.push_back(std::make_shared<WirePacket>(packet));
-    }
+    for (SharedPacket& packet : board.page_visibility(item.page)) page_visibility_.push_back(std::move(packet));
     visibility_page_ = item.page;
+    if (page_visibility_.empty() && board.is_of_others(item.page)) plan_is_all_ = false;
     return !page_visibility_.empty();
   }
   const stream::OfferedPage* offered = board.find(item.page);
@@ -179,6 +178,7 @@ bool ViewerFeed::begin_item(stream::StreamModel& model, PageBoard& board, const 
   page_number_ = item.page;
   page_count_ = offered->count;
   page_stale_ = false;
+  if (!page_ && board.is_of_others(item.page)) plan_is_all_ = false;  // it is on its way: planned again soon
   return page_ != nullptr;
 }
 

@@ -38,6 +38,8 @@ class ViewerFeed {
   /// A whole one is pushed in place of those that wait.
   void drop_scenes() { scenes_.clear(); }
   void push_visibility(SharedPacket packet, std::shared_ptr<const std::vector<wire::SeenPage>> pages);
+  /// Of these pages' lights something has changed that it is not told: it comes page by page.
+  void miss_visibility(const std::vector<wire::SeenPage>& pages);
   /// These ended otherwise than in a delta: it is told of those that it holds.
   void push_gone(const stream::StreamModel& model, std::span<const std::uint32_t> pages);
   /// It is told of all of these.

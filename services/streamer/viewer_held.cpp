@@ -78,6 +78,11 @@ void ViewerFeed::take_visibility(const std::vector<wire::SeenPage>& pages, bool 
   }
 }
 
+void ViewerFeed::miss_visibility(const std::vector<wire::SeenPage>& pages) {
+  take_visibility(pages, false);
+  plan_is_all_ = false;
+}
+
 void ViewerFeed::lose(const stream::StreamModel& model, const Trace& trace) {
   ++lost_packets_;
   for (const Mark& mark : trace.marks) {

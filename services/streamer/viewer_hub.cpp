@@ -37,20 +37,22 @@ void ViewerHub::begin(Viewer& viewer, bool has_scene) {
     viewer.feed.drop_scenes();
     if (auto scene = model_.scene_packet()) packets.push_back(std::make_shared<WirePacket>(*scene));
   }
-  for (const auto& packet : model_.manifest_packets(board_.offered(), {}, true)) {
+  for (const auto& packet : board_.manifest_packets(board_.offered(), {}, true)) {
     packets.push_back(std::make_shared<WirePacket>(packet));
   }
   viewer.feed.begin(std::move(packets));
 }
 
-void ViewerHub::add(stream::StreamUpdate update) {
+void ViewerHub::add(stream::StreamUpdate update, BoardPages pages) {
   std::vector<stream::OfferedPage> changed;
-  const std::vector<std::uint32_t> ended = std::move(update.gone);
-  const std::vector<std::uint32_t> gone = board_.add(std::move(update), changed);
+  std::vector<std::uint32_t> ended = std::move(update.gone);
+  const std::vector<std::uint32_t> gone = board_.add(std::move(update), std::move(pages), changed);
+  // What another replica has now is shown as it is until it comes from there.
+  std::erase_if(ended, [this](std::uint32_t page) { return board_.is_of_others(page); });
   if (viewers_.empty()) return;
   std::vector<SharedPacket> news;
   if (!changed.empty() || !gone.empty()) {
-    for (const auto& packet : model_.manifest_packets(changed, gone, false)) {
+    for (const auto& packet : board_.manifest_packets(changed, gone, false)) {
       news.push_back(std::make_shared<WirePacket>(packet));
     }
   }
@@ -77,15 +79,16 @@ void ViewerHub::add_scene(const stream::EncodedPacket& packet) {
 void ViewerHub::add_visibility(std::vector<stream::VisibilityPacket> packets) {
   for (stream::VisibilityPacket& packet : packets) {
     board_.forget(packet.pages);
+    board_.stamp(packet.packet);
     const auto shared = std::make_shared<WirePacket>(packet.packet);
     const auto pages = std::make_shared<const std::vector<wire::SeenPage>>(std::move(packet.pages));
     for (auto& [peer, viewer] : viewers_) viewer.feed.push_visibility(shared, pages);
   }
 }
 
-void ViewerHub::restart_all() {
+void ViewerHub::restart_all(BoardPages pages) {
   board_.clear();
-  add({});
+  add({}, std::move(pages));
   for (auto& [peer, viewer] : viewers_) {
     viewer.feed.start_over();
     begin(viewer, false);
@@ -120,6 +123,7 @@ void ViewerHub::set_rate(ViewerFeed& feed, std::int64_t now_ns) const {
 
 bool ViewerHub::pump(std::int64_t now_ns) {
   bool waits = false;
+  answer_readers(now_ns);
   for (auto at = viewers_.begin(); at != viewers_.end();) {
     Viewer& viewer = at->second;
     set_rate(viewer.feed, now_ns);
@@ -149,11 +153,12 @@ std::optional<double> ViewerHub::delta_bytes_per_s() const {
 }
 
 void ViewerHub::send_keepalive(std::int64_t now_ns) {
-  const stream::StreamModel::Status held = model_.status();
+  const std::uint64_t epoch = model_.status().epoch;
+  const std::size_t all = gaussians(), in = pages();
   for (auto& [peer, viewer] : viewers_) {
     const auto kbps = static_cast<std::uint32_t>(viewer.feed.rate().bytes_per_s() / 125);
-    const WirePacket packet(writer_.write(held.epoch, 0, wire::Body::Keepalive, [&](auto& builder) {
-      return wire::CreateKeepalive(builder, held.gaussians, static_cast<std::uint32_t>(held.pages),
+    const WirePacket packet(writer_.write(epoch, 0, wire::Body::Keepalive, [&](auto& builder) {
+      return wire::CreateKeepalive(builder, all, static_cast<std::uint32_t>(in),
                                    static_cast<std::uint32_t>(viewers_.size()), kbps);
     }));
     if (send(peer, packet, viewer.feed.next_sequence()) == Endpoint::Sent::Yes) {

@@ -50,14 +50,26 @@ class ViewerHub {
   /// Takes what viewers sent. Bounded work a call.
   void receive(std::int64_t now_ns);
   /// After a tick of the model.
-  void add(stream::StreamUpdate update);
+  void add(stream::StreamUpdate update) { add(std::move(update), {.all = model_.offered(), .of_others = {}}); }
+  /// After ticks of this and of other replicas.
+  void add(stream::StreamUpdate update, BoardPages pages);
   /// The scene that take_scene() gave, for everybody.
   void add_scene(const stream::EncodedPacket& packet);
   /// Where they are: what viewers see of pages in their frames.
   void set_objects(const ObjectTransforms& objects) { objects_ = objects; }
   void add_visibility(std::vector<stream::VisibilityPacket> packets);
   /// After the model was reset: everybody starts over.
-  void restart_all();
+  void restart_all() { restart_all({.all = model_.offered(), .of_others = {}}); }
+  void restart_all(BoardPages pages);
+
+  // What replicas do for each other.
+  /// Visibility of others' pages under `scene`, the newest that viewers are sent.
+  void add_others_visibility(std::vector<stream::VisibilityPacket> packets, const SceneState& scene);
+  /// Others' pages that were wanted.
+  void take(ShareAnswer answer) { board_.take(std::move(answer)); }
+  [[nodiscard]] std::vector<ShareWant> take_wants(std::int64_t now_ns) { return board_.take_wants(now_ns); }
+  /// For another replica; nullopt for what is not encoded here.
+  [[nodiscard]] std::optional<ShareAnswer> answer(const ShareWant& want);
   /// Sends as much as sockets and rates take. True when somebody waits for either.
   bool pump(std::int64_t now_ns);
   /// Once a second: Keepalive to all.
@@ -84,6 +96,11 @@ class ViewerHub {
   /// Pages that anybody holds and follows by deltas.
   [[nodiscard]] std::set<std::uint32_t> followed_pages() const;
 
+  /// Gaussians and pages that viewers may have.
+  [[nodiscard]] std::size_t gaussians() const { return board_.gaussians().value_or(model_.status().gaussians); }
+  [[nodiscard]] std::size_t pages() const {
+    return board_.gaussians() ? board_.offered().size() : model_.status().pages;
+  }
   [[nodiscard]] WireStatistics& statistics() { return statistics_; }
   struct Counts {
     std::uint64_t whole_pages = 0, lost_packets = 0, refused_pages = 0;
@@ -121,6 +138,8 @@ class ViewerHub {
   void take_probe(const Endpoint::Peer& peer, Viewer& viewer, const wire::Probe& probe, std::int64_t now_ns);
   void take_held(Viewer& viewer, const wire::Held& held, std::int64_t now_ns);
   void take_page_request(const Endpoint::Received& received, std::int64_t now_ns);
+  void answer_readers(std::int64_t now_ns);
+  bool send_page(const Endpoint::Peer& peer, const stream::PageVersion& asked, std::uint64_t epoch);
   void begin(Viewer& viewer, bool has_scene);
   /// Its counts, when it goes.
   void remember(const Viewer& viewer);
@@ -138,6 +157,13 @@ class ViewerHub {
   std::map<Endpoint::Peer, Viewer> viewers_;
   PageBoard board_;
   PageReaders readers_;
+  struct Waiting {
+    Endpoint::Peer peer;
+    stream::PageVersion asked;
+    std::uint64_t epoch = 0;
+    std::int64_t asked_ns = 0;
+  };
+  std::deque<Waiting> waiting_;  ///< readers, for others' pages
   ObjectTransforms objects_;
   std::map<std::uint64_t, Probe> probes_;
   bus::TokenBucket answers_{50, 50};  ///< to those who are nobody's

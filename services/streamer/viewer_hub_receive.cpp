@@ -163,16 +163,17 @@ void ViewerHub::take_page_request(const Endpoint::Received& received, std::int64
   if (!model_.status().ready) return;
   if (request.manifest()) {
     send(peer, WirePacket(model_.layout_packet()));
-    for (const auto& part : model_.manifest_packets(board_.offered(), {}, true)) send(peer, WirePacket(part));
+    for (const auto& part : board_.manifest_packets(board_.offered(), {}, true)) send(peer, WirePacket(part));
   }
   std::vector<std::uint32_t> gone;
   for (std::size_t k = 0; k < pages; ++k) {
     const wire::PageVersion* asked = request.pages()->Get(static_cast<flatbuffers::uoffset_t>(k));
-    const auto page = board_.find(asked->page()) ? board_.page(asked->page(), false) : nullptr;
-    if (page && page->version == asked->version() && packet.stream_epoch() == model_.status().epoch) {
-      for (const SharedPacket& part : page->parts) send(peer, *part);
+    const stream::PageVersion page{asked->page(), asked->version()};
+    if (send_page(peer, page, packet.stream_epoch())) continue;
+    if (board_.is_of_others(page.page)) {
+      waiting_.push_back({peer, page, packet.stream_epoch(), now_ns});
     } else {
-      gone.push_back(asked->page());
+      gone.push_back(page.page);
     }
   }
   if (!gone.empty()) send(peer, WirePacket(model_.gone_packet(gone)));
@@ -208,7 +209,7 @@ void ViewerHub::hello(const Endpoint::Received& received, std::int64_t now_ns) {
         gone.push_back(page->page());
       }
     }
-    viewer.feed.resume(board_, pages, body.visibility_version() == held.visibility_version);
+    viewer.feed.resume(board_, pages, body.visibility_version() == board_.visibility_version());
     viewer.feed.tell_gone(model_, std::move(gone));
   }
   say(fmt::format("viewer {} {}", viewer.name, same ? "is back" : "joined"));

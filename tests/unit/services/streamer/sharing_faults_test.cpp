@@ -1,0 +1,103 @@
+// Replicas that stop, that were stuck, that leave, and what is no word of a replica.
+#include <thread>
+
+#include "sharing_fixture.h"
+#include "wire/system_generated.h"
+
+namespace splatbus::stream_test {
+namespace {
+
+/// A running one, one under the test's clock, and a viewer of the running one.
+class SharingFaults : public SharingTest {
+ protected:
+  void SetUp() override {
+    one_ = streamer(kOne);
+    stepped_ = std::make_unique<SteppedStreamer>(process_, changes_of({}));
+    trainer_.publish(model_);
+    viewer_ = viewer_of(*one_);
+    ASSERT_TRUE(until({viewer_.get()}, [&] { return shows_model(*viewer_) && divided({kOne, kTwo}, *viewer_); }));
+    epoch_ = viewer_->replica().epoch();
+  }
+  /// Whether the picture was whole, in the same stream, all the time until then.
+  bool stands_until(const std::function<bool()>& condition) {
+    bool stood = true;
+    const bool came = until({viewer_.get()}, [&] {
+      stood = stood && viewer_->replica().count() == model_.count() && viewer_->replica().epoch() == epoch_;
+      return condition();
+    });
+    EXPECT_TRUE(stood);
+    return came;
+  }
+  void move_model() {
+    disturb(model_, random_);
+    trainer_.publish(model_);
+  }
+
+  void beat(wire::ServiceState state) {
+    const bus::Publisher heart(process_);
+    heart.publish(topics::kHeartbeat, {.latch_key = kTwo}, [&](auto& builder, auto header) {
+      return wire::CreateHeartbeatDirect(builder, header, "streamer", 1, state);
+    });
+  }
+
+  std::shared_ptr<bus::Context> process_ = connect(kTwo);  // one connection: that is one process to the broker
+  std::unique_ptr<RunningStreamer> one_;
+  std::unique_ptr<StreamClient> viewer_;
+  std::uint64_t epoch_ = 0;
+};
+
+TEST_F(SharingFaults, PagesOfOneThatDiesAreTheOthers) {
+  stepped_.reset();
+  move_model();
+  ASSERT_TRUE(stands_until([&] { return shows_model(*viewer_) && divided({kOne}, *viewer_); }));
+  EXPECT_EQ(viewer_->refused(), 0U);
+}
+
+TEST_F(SharingFaults, OneThatWasStuckTakesItsPagesBack) {
+  const std::set<std::uint32_t> before = said_[kTwo].pages;
+  auto stuck = std::exchange(stepped_, nullptr);
+  move_model();
+  ASSERT_TRUE(stands_until([&] { return shows_model(*viewer_) && divided({kOne}, *viewer_); }));
+  stepped_ = std::move(stuck);
+  move_model();
+  ASSERT_TRUE(stands_until([&] { return divided({kOne, kTwo}, *viewer_) && shows_model(*viewer_); }));
+  EXPECT_EQ(said_[kTwo].pages, before);
+  for (int k = 0; k < 5; ++k) {
+    move_model();
+    ASSERT_TRUE(stands_until([&] { return shows_model(*viewer_); }));
+  }
+  EXPECT_EQ(viewer_->refused(), 0U);
+}
+
+TEST_F(SharingFaults, WhatTheBrokerKnowsToHaveEndedIsNotWaitedFor) {
+  beat(wire::ServiceState::Running);
+  ASSERT_TRUE(stands_until([&] { return shows_model(*viewer_); }));
+  const auto begin = std::chrono::steady_clock::now();
+  stepped_.reset();
+  beat(wire::ServiceState::Stopping);
+  move_model();
+  ASSERT_TRUE(stands_until([&] { return shows_model(*viewer_); }));
+  EXPECT_LT(std::chrono::steady_clock::now() - begin, 2500ms) << "silence alone says so after three seconds";
+}
+
+TEST_F(SharingFaults, OneThatLeavesGivesItsPagesAway) {
+  stepped_.reset();
+  auto two = streamer("streamer-3", {{"drain_s", "20"}});
+  auto b = viewer_of(*two);
+  ASSERT_TRUE(until({viewer_.get(), b.get()}, [&] {
+    return shows_model(*b) && shows_model(*viewer_) && divided({kOne, "streamer-3"}, *viewer_);
+  }));
+  std::thread ending([&] { two.reset(); });  // it waits for its viewer to go
+  move_model();
+  EXPECT_TRUE(until({viewer_.get(), b.get()}, [&] {
+    return said_["streamer-3"].pages.empty() && divided({kOne}, *b) && shows_model(*b) && shows_model(*viewer_);
+  }));
+  train({viewer_.get(), b.get()}, 300ms);
+  EXPECT_TRUE(until({viewer_.get(), b.get()}, [&] { return shows_model(*b) && shows_model(*viewer_); }));
+  EXPECT_EQ(b->refused(), 0U);
+  b.reset();
+  ending.join();
+}
+
+}  // namespace
+}  // namespace splatbus::stream_test
