@@ -18,6 +18,7 @@
 
 #include "bench/bench_memory.h"
 #include "bench/codec_scene.h"
+#include "bench/stream_reader.h"
 #include "bus/clock.h"
 #include "streamer/viewer_hub.h"
 
@@ -43,63 +44,20 @@ struct Readers {
   double least_mbps = 0, most_mbps = 0, slow_mbps = 0, longest_gap_s = 0;
 };
 
-/// A viewer's end of the protocol: greets until it is answered, reads, and says what has come.
-struct Reader {
-  zmq::socket_t socket;
-  std::uint32_t max_kbps = 0;
-  bool reads = true, served = false;
-  std::uint64_t newest = 0, bytes = 0, said_bytes = 0, epoch = 0;
-  std::int64_t said_ns = 0, come_ns = 0, longest_gap_ns = 0;
-
-  void greet(const stream::PacketWriter& writer) {
-    if (served) return;
-    const auto hello = writer.write(0, 0, wire::Body::Hello, [&](auto& builder) {
-      return wire::CreateHelloDirect(builder, "viewer", nullptr, false, 0, nullptr, 0, 0, max_kbps);
-    });
-    (void)socket.send(zmq::buffer(hello.packet), zmq::send_flags::dontwait);
-  }
-  void read(std::int64_t now_ns) {
-    if (!reads && served) return;
-    zmq::message_t frame;
-    while (socket.recv(frame, zmq::recv_flags::dontwait)) {
-      const auto packet = stream::ParsedPacket::parse({frame.data<std::uint8_t>(), frame.size()}, {});
-      bytes += frame.size();
-      while (frame.more() && socket.recv(frame)) bytes += frame.size();
-      newest = std::max(newest, packet.sequence());
-      if (packet.stream_epoch() != 0) epoch = packet.stream_epoch();
-      if (come_ns != 0) longest_gap_ns = std::max(longest_gap_ns, now_ns - come_ns);
-      come_ns = now_ns;
-      served = true;
-    }
-  }
-  void say(const stream::PacketWriter& writer, std::int64_t now_ns) {
-    const std::int64_t every_ns = bytes - said_bytes >= 32768 ? 50'000'000 : 250'000'000;
-    if (!reads || bytes == said_bytes || now_ns - said_ns < every_ns) return;
-    const auto held = writer.write(epoch, 0, wire::Body::Held, [&](auto& builder) {
-      return wire::CreateHeldDirect(builder, newest, nullptr, 0, 0, nullptr, nullptr, false, 0, max_kbps);
-    });
-    (void)socket.send(zmq::buffer(held.packet), zmq::send_flags::dontwait);
-    said_bytes = bytes;
-    said_ns = now_ns;
-  }
-};
-
 /// Until `stop` can be read: in a process of its own, whose memory is not the hub's. Of the viewers the first
 /// `stopped` never read once they are served, and the next one, if `slow`, wants 1 Mbit/s.
 [[noreturn]] void read_as(int viewers, int stopped, bool slow, const std::string& endpoint, int stop, int figures) {
   ::prctl(PR_SET_PDEATHSIG, SIGKILL);
   zmq::context_t context;
-  std::vector<Reader> readers;
+  std::vector<StreamReader> readers;
   std::vector<zmq::pollitem_t> items{{nullptr, stop, ZMQ_POLLIN, 0}};
   const stream::PacketWriter writer("viewer", 1);
   for (int k = 0; k < viewers; ++k) {
-    Reader& reader = readers.emplace_back(Reader{.socket = zmq::socket_t(context, zmq::socket_type::dealer),
-                                                 .max_kbps = slow && k == stopped ? 1000U : 0U,
-                                                 .reads = k >= stopped});
-    reader.socket.set(zmq::sockopt::linger, 0);
-    reader.socket.connect(endpoint);
+    StreamReader& reader = readers.emplace_back(StreamReader::connect(context, endpoint));
+    reader.max_kbps = slow && k == stopped ? 1000U : 0U;
+    reader.reads = k >= stopped;
   }
-  for (Reader& reader : readers) {
+  for (StreamReader& reader : readers) {
     if (reader.reads) items.push_back({reader.socket.handle(), 0, ZMQ_POLLIN, 0});
   }
   const std::int64_t begin_ns = bus::now_ns();
@@ -108,7 +66,7 @@ struct Reader {
     const std::int64_t now_ns = bus::now_ns();
     const bool greets = now_ns - greeted_ns > 200'000'000;  // strangers are answered so many times a second
     if (greets) greeted_ns = now_ns;
-    for (Reader& reader : readers) {
+    for (StreamReader& reader : readers) {
       if (greets) reader.greet(writer);
       reader.read(now_ns);
       reader.say(writer, now_ns);
@@ -117,7 +75,7 @@ struct Reader {
   }
   const double seconds = static_cast<double>(bus::now_ns() - begin_ns) * 1e-9;
   Readers all{.least_mbps = 1e9};
-  for (const Reader& reader : readers) {
+  for (const StreamReader& reader : readers) {
     const double mbps = static_cast<double>(reader.bytes) * 8e-6 / seconds;
     if (reader.max_kbps != 0) all.slow_mbps = mbps;
     if (!reader.reads || reader.max_kbps != 0) continue;
