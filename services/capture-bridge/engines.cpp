@@ -20,6 +20,7 @@ bool is_divided(CameraRole role) {
 }  // namespace
 
 void Engines::take(const wire::Liveness& liveness) {
+  if (is_incomplete(liveness) && !running_.empty()) return;
   running_ = running(liveness, "engine");
   std::erase_if(conduct_,
                 [&](const auto& entry) { return std::ranges::count(running_, entry.first, &Senior::name) == 0; });

@@ -9,8 +9,7 @@ namespace splatbus::capture_bridge {
 void Lead::take(const wire::Liveness& liveness, std::int64_t now_ns) {
   said_ns_ = liveness.header()->publish_ns();
   const std::vector<Senior> bridges = running(liveness, "capture-bridge");
-  // A broker that was started again has heard nobody yet: that is no reason to go.
-  if (bridges.empty()) return;
+  if (bridges.empty() || (is_incomplete(liveness) && !leader_.name.empty())) return;
   const Senior before = std::exchange(leader_, bridges.front());
   const bool another_led = !before.name.empty() || bridges.size() > 1;
   if (is_first() && before != own_ && another_led) begin_ns_ = now_ns + kHandoverNs;

@@ -6,6 +6,12 @@
 
 namespace splatbus::capture_bridge {
 
+bool is_incomplete(const wire::Liveness& liveness) {
+  constexpr std::int64_t kHeardByNs = 1'000'000'000;  // heartbeats come five times a second
+  const wire::Header& header = *liveness.header();
+  return header.publish_ns() - static_cast<std::int64_t>(header.epoch()) < kHeardByNs;
+}
+
 std::vector<Senior> running(const wire::Liveness& liveness, std::string_view kind) {
   std::vector<Senior> seniors;
   if (liveness.nodes() == nullptr) return seniors;

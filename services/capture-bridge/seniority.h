@@ -23,6 +23,9 @@ struct Senior {
 
 inline constexpr std::size_t kMaxSeniors = 64;
 
+/// A broker that was started just now has not heard everybody yet: nobody is gone for not being in its list.
+[[nodiscard]] bool is_incomplete(const wire::Liveness& liveness);
+
 /// Those of that kind that run, as the broker sees them: the first kMaxSeniors, oldest first.
 [[nodiscard]] std::vector<Senior> running(const wire::Liveness& liveness, std::string_view kind);
 

@@ -1,4 +1,5 @@
 // Several engines that show one world.
+#include <algorithm>
 #include <limits>
 #include <set>
 
@@ -108,6 +109,34 @@ TEST_F(BridgeEnginesTest, WhatOnlyTheOtherEngineShowsTrainsNothingAndIsAskedForA
   EXPECT_LT(before, 6U);
   other_.objects.clear();
   ASSERT_TRUE(until_both([&] { return versions().size() == 6; }));
+}
+
+TEST_F(BridgeEnginesTest, DepthMapsAreTheLeadsAndWhoIsAskedByNobodyYetRendersNothing) {
+  start_both();
+  ASSERT_TRUE(until_both([&] { return versions().size() == 6 && !received_["scene/light_depth"].empty(); }));
+  const auto light = std::ranges::find(engine_.requests(), CameraRole::Light,
+                                       [](const FakeEngine::Request& request) { return request.camera.role; });
+  ASSERT_NE(light, engine_.requests().end());
+  ASSERT_TRUE(until_both([&] { return bridge_->counters().light_depths == engine_.light_maps_drawn; }));
+  other_.submit_light(*light);
+  Camera camera = look_at({0, 2, 2}, {0, 0, 0}, 16, 16, 1);
+  camera.role = CameraRole::Reference;
+  camera.id = 77;  // comes after it
+  other_.submit(camera, wire::EngineBuffer::Color, 0);
+  ASSERT_TRUE(until_both([&] { return versions().contains(77); }));
+  EXPECT_LE(bridge_->counters().light_depths, engine_.light_maps_drawn);
+  FakeEngine third(connect("third"));
+  EXPECT_FALSE(bus_test::eventually(
+      [&] {
+        third.serve();
+        return !third.submitted.empty();
+      },
+      200ms));
+  hear({{"engine", 1}, {"other", 2}, {"third", 3}});
+  ASSERT_TRUE(until_both([&] {
+    third.serve();
+    return views(third) >= 3;
+  }));
 }
 
 TEST_F(BridgeEnginesTest, AnEngineThatGoesLeavesItsCamerasAndItsPlaceToTheOther) {

@@ -16,8 +16,9 @@ using testing::ElementsAre;
 
 constexpr std::int64_t kSecond = 1'000'000'000;
 
-void hear(Engines& engines, const std::vector<Node>& nodes) {
-  with_liveness(nodes, 0, [&](const wire::Liveness& liveness) { engines.take(liveness); });
+void hear(Engines& engines, const std::vector<Node>& nodes, std::int64_t broker_age_ns = 10 * kSecond) {
+  with_liveness(
+      nodes, 0, [&](const wire::Liveness& liveness) { engines.take(liveness); }, broker_age_ns);
 }
 
 void add(std::vector<CameraRequest>& requests, CameraRole role, std::uint32_t count) {
@@ -48,6 +49,16 @@ TEST(Engines, OneAloneIsAskedAsEver) {
   EXPECT_FALSE(engines.leads("c"));
   EXPECT_FALSE(engines.shared());
   EXPECT_FALSE(engines.take_changed());
+}
+
+TEST(Engines, ABrokerThatWasStartedAgainTakesNobodysPlaceAwayBeforeItHasHeardAll) {
+  Engines engines;
+  hear(engines, {{"a", 1}, {"b", 2}}, kSecond / 2);
+  EXPECT_TRUE(engines.leads("a"));
+  hear(engines, {{"b", 2}}, kSecond - 1);
+  EXPECT_TRUE(engines.leads("a"));
+  hear(engines, {{"b", 2}}, kSecond);
+  EXPECT_TRUE(engines.leads("b"));
 }
 
 TEST(Engines, CamerasAreDividedEvenlyAndWhatGoesWithTheSceneIsTheLeads) {

@@ -14,8 +14,9 @@ Node bridge(const std::string& name, std::uint64_t epoch, bool alive = true) {
   return {.name = name, .epoch = epoch, .kind = "capture-bridge", .alive = alive};
 }
 
-void hear(Lead& lead, const std::vector<Node>& nodes, std::int64_t now_ns) {
-  with_liveness(nodes, now_ns, [&](const wire::Liveness& liveness) { lead.take(liveness, now_ns); });
+void hear(Lead& lead, const std::vector<Node>& nodes, std::int64_t now_ns, std::int64_t broker_age_ns = 10'000 * kMs) {
+  with_liveness(
+      nodes, now_ns, [&](const wire::Liveness& liveness) { lead.take(liveness, now_ns); }, broker_age_ns);
 }
 
 TEST(Lead, OneAloneWritesAsSoonAsTheBrokerHearsIt) {
@@ -25,9 +26,24 @@ TEST(Lead, OneAloneWritesAsSoonAsTheBrokerHearsIt) {
   EXPECT_FALSE(lead.may_write(kMs));
   hear(lead, {bridge("a", 5), {.name = "b", .epoch = 1}}, 2 * kMs);
   EXPECT_TRUE(lead.may_write(2 * kMs));
-  // A broker that was started again has not heard it yet.
   hear(lead, {}, 3 * kMs);
   EXPECT_TRUE(lead.may_write(3 * kMs));
+}
+
+TEST(Lead, ABrokerThatWasStartedAgainTakesNobodysPlaceAwayBeforeItHasHeardAll) {
+  Lead lead({.since_ns = 5, .name = "a"});
+  hear(lead, {bridge("a", 5), bridge("b", 6)}, kMs, 500 * kMs);  // the first word of all counts
+  EXPECT_TRUE(lead.may_write(kMs + Lead::kHandoverNs));
+  hear(lead, {bridge("b", 6)}, 300 * kMs, 999 * kMs);
+  EXPECT_TRUE(lead.may_write(300 * kMs));
+  hear(lead, {bridge("b", 6)}, 301 * kMs, 1000 * kMs);
+  EXPECT_FALSE(lead.may_write(301 * kMs));
+}
+
+TEST(Lead, WhatTheBrokerStillSaysOfAProcessBeforeOfItsNameIsNotItsOwn) {
+  Lead lead({.since_ns = 9, .name = "a"});
+  hear(lead, {bridge("a", 5), bridge("b", 6)}, kMs);
+  EXPECT_FALSE(lead.may_write(kMs + 2 * Lead::kHandoverNs));
 }
 
 TEST(Lead, TheFirstThatRunsWritesAndWhoComesAgainDoesNotTakeItsPlaceBack) {
