@@ -55,7 +55,7 @@ void run(bus::ServiceContext& service) {
   model::PagedPublisher pages(service.bus);
   Camera camera = look_at({1, 2, 3}, {0, 0, 0}, kWidth, kHeight, 1);
   camera.id = 2;
-  const wire::Camera sent = to_wire(camera);
+  wire::Camera sent = to_wire(camera);
   SceneState scene{.version = 1};
   scene.objects[7] = Rigid{.rotation = glm::angleAxis(0.5F, glm::vec3(0, 1, 0)), .translation = {5, 6, 7}};
 
@@ -63,10 +63,17 @@ void run(bus::ServiceContext& service) {
   publisher.publish(topics::kSceneState, [&](auto& builder, auto header) {
     return wire::CreateSceneUpdate(builder, header, to_wire(builder, scene));
   });
-  publisher.publish(topics::kEngineCameras, [&](auto& builder, auto header) {
-    const std::vector requests{wire::CreateCameraRequest(builder, &sent, wire::EngineBuffer::Color)};
-    return wire::CreateEngineCamerasDirect(builder, header, &requests);
-  });
+  // Two engines share the cameras: what one of them is asked for does not take the other's away.
+  for (const char* engine : {"engine-1", "engine-2"}) {
+    publisher.publish(topics::kEngineCameras, {.latch_key = engine}, [&](auto& builder, auto header) {
+      const std::vector requests{wire::CreateCameraRequest(builder, &sent, wire::EngineBuffer::Color)};
+      return wire::CreateEngineCamerasDirect(builder, header, &requests);
+    });
+    camera.id = 3;
+    sent = to_wire(camera);
+  }
+  camera.id = 2;
+  sent = to_wire(camera);
   const std::vector<std::uint8_t> rgba = picture();
   const std::vector<float> depth = depths();
   const bus::MessageInfo with_picture{

@@ -83,6 +83,7 @@ class Feed {
   Channels wanted_;                             ///< the same without numbers
   std::map<std::string, std::string> schemas_;  ///< Header.schema of each topic of the bus that is offered
   Channels cameras_;                            ///< names of those that are offered
+  std::map<std::string, Channels> cameras_of_;  ///< by the engine that is asked; "": all are
   std::map<std::string, std::int64_t> next_picture_ns_;
   std::optional<LiveScene> scene_;
   std::int64_t next_points_ns_ = 0, next_time_ns_ = 0;

@@ -20,7 +20,7 @@ namespace splatbus::gateway::foxglove {
 
 namespace {
 
-constexpr std::size_t kMaxCameras = 64;
+constexpr std::size_t kMaxCameras = 64, kMaxEngines = 64;
 constexpr std::size_t kMaxDepthBytes = std::size_t{64} << 20;  // of one picture, which is sent as it is
 
 std::string calibration_topic(const std::string& camera) {
@@ -62,8 +62,21 @@ void Feed::take_cameras(const bus::Message& message, const Channels& channels) {
   }
   Channels names;
   for (const auto& [name, camera] : cameras) names.insert(name);
-  if (names != cameras_) hub_.offer(Hub::Kind::Cameras, offers_of(names));
-  cameras_ = std::move(names);
+  const auto* key = message.header().latch_key();
+  const std::string engine = key == nullptr ? std::string() : bus::printable(key->string_view());
+  if (names.empty()) {
+    cameras_of_.erase(engine);
+  } else if (cameras_of_.contains(engine) || cameras_of_.size() < kMaxEngines) {
+    cameras_of_[engine] = std::move(names);
+  }
+  Channels all;
+  for (const auto& [asked, of_engine] : cameras_of_) {
+    for (const std::string& name : of_engine) {
+      if (all.size() < kMaxCameras) all.insert(name);
+    }
+  }
+  if (all != cameras_) hub_.offer(Hub::Kind::Cameras, offers_of(all));
+  cameras_ = std::move(all);
   const std::uint64_t time = time_of(message);
   std::vector<FrameTransform> frames;
   for (const auto& [name, camera] : cameras) {
@@ -72,7 +85,7 @@ void Feed::take_cameras(const bus::Message& message, const Channels& channels) {
     frames.push_back({std::string(kWorld), frame, camera.world_from_camera});
   }
   if (channels.contains(std::string(kTransforms))) {
-    hub_.deliver(std::string(kTransforms), time, frame_transforms(frames, time), "cameras");
+    hub_.deliver(std::string(kTransforms), time, frame_transforms(frames, time), "cameras" + engine);
   }
 }
 
