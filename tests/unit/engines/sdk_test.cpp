@@ -56,8 +56,8 @@ TEST_F(SdkTest, RequestsByNameGoBeforeThoseToAllUntilTheirBridgeIsAnother) {
   publish_requests(bridge, {{.camera = small_camera(1), .id = 2}}, "engine-2");
   wait_for(2);
   publish_requests(bridge, {{.camera = small_camera(1), .id = 3}});
-  publish_requests(bridge, {{.camera = small_camera(1), .id = 4}}, "engine-1");
   publish_requests(bridge, {{.camera = small_camera(1), .id = 5}}, "engine-2");
+  publish_requests(bridge, {{.camera = small_camera(1), .id = 4}}, "engine-1");
   wait_for(5);
   // What was passed over does not come after all.
   publish_requests(next, {{.camera = small_camera(1), .id = 6}});

@@ -112,8 +112,11 @@ TEST_F(BridgeEnginesTest, WhatOnlyTheOtherEngineShowsTrainsNothingAndIsAskedForA
 }
 
 TEST_F(BridgeEnginesTest, DepthMapsAreTheLeadsAndWhoIsAskedByNobodyYetRendersNothing) {
-  start_both();
-  ASSERT_TRUE(until_both([&] { return versions().size() == 6 && !received_["scene/light_depth"].empty(); }));
+  start();
+  ASSERT_TRUE(until([&] { return views(engine_) == 10; }));  // all of them, for whoever there is
+  hear({{"engine", 1}, {"other", 2}});
+  ASSERT_TRUE(until_both(
+      [&] { return views(engine_) < 10 && versions().size() == 6 && !received_["scene/light_depth"].empty(); }));
   const auto light = std::ranges::find(engine_.requests(), CameraRole::Light,
                                        [](const FakeEngine::Request& request) { return request.camera.role; });
   ASSERT_NE(light, engine_.requests().end());
