@@ -1,6 +1,7 @@
 // What streamers that share viewers and pages cost: real ones, each a process of its own, on one bus, with a model of
 // which all moves and viewers that read all they are sent.
 #include <fmt/format.h>
+#include <sched.h>
 #include <unistd.h>
 
 #include <CLI/CLI.hpp>
@@ -39,11 +40,21 @@ struct Options {
   int viewers = 100;
   double warm_s = 15, seconds = 20, viewer_kbps = 9000, budget_kbps = 6000, tick_hz = 5;
   float moves = 0.002F;
+  bool apart = false;
 };
 
 struct Shared {
   std::uint64_t bytes = 0, least = 0;  ///< that readers have had, all and the one with the fewest
 };
+
+/// This process, and what it starts, on the first processor, or on all the others.
+void stay_on(bool first) {
+  cpu_set_t processors;
+  CPU_ZERO(&processors);
+  const long all = ::sysconf(_SC_NPROCESSORS_ONLN);
+  for (long k = first ? 0 : 1; k < (first ? 1 : all); ++k) CPU_SET(static_cast<std::size_t>(k), &processors);
+  if (::sched_setaffinity(0, sizeof processors, &processors) != 0) throw std::runtime_error("cannot choose processors");
+}
 
 [[noreturn]] void run_broker(const bus::Address& address) {
   bus_service::BrokerOptions options;
@@ -112,6 +123,7 @@ void insert_plain(model::PageStore& store, std::size_t count) {
 }
 
 void run_streamer(const Options& options, const bus::Address& address, const std::string& name) {
+  if (options.apart) stay_on(true);
   const std::string bus = address.text();
   const auto rate = fmt::format("viewer_kbps={}", options.viewer_kbps), hz = fmt::format("tick_hz={}", options.tick_hz);
   const auto budget = fmt::format("budget_kbps={}", options.budget_kbps);
@@ -175,6 +187,7 @@ std::map<std::string, Cost> measure(const Options& options, int streamers) {
   std::filesystem::permissions(folder, std::filesystem::perms::owner_all);
   const bus::Address address = bus::Address::parse("ipc://" + folder);
   const SharedMemory<Shared> shared;
+  if (options.apart) stay_on(false);
   std::map<std::string, Cost> costs;
   {
     std::vector<Process> processes;
@@ -252,6 +265,8 @@ int main(int argc, char** argv) {
   app.add_option("--budget-kbps", options.budget_kbps, "of deltas");
   app.add_option("--tick-hz", options.tick_hz, "updates a second");
   app.add_option("--moves", options.moves, "deviation of what a tick adds to each parameter");
+  app.add_flag("--apart", options.apart,
+               "streamers on one processor and all else on the others, so that none of them slows another one down");
   CLI11_PARSE(app, argc, argv);
   splatbus::bench::run(options);
   return 0;
