@@ -11,12 +11,12 @@ namespace {
 constexpr double kDecidePeriod_s = 1;
 /// Fewer pictures of a page say nothing of its loss.
 constexpr std::uint32_t kLeastLooks = 8;
-/// Times FreezeOptions::after_s after which a page that no view shows rests as it is.
-constexpr double kUnseenTimes = 4;
 /// A view teaches more when it comes nearer than by rounding and jitter of a camera.
 constexpr float kNearer = 1.5F;
-/// A view that is farther away than by this has little to teach what nearer ones have begun.
+/// A view that shows less than this of the nearest one's detail has little to teach: it is one from afar.
 constexpr float kAsNear = 0.5F;
+/// Of what views from afar have shown, what a new mean of them counts for: they change as they move on.
+constexpr double kNewFromAfar = 0.25;
 constexpr float kNear_m = 2;  // nobody has to come nearer than twice that
 /// What is nearer counts as being this near: cameras stand in the bounds of pages.
 constexpr float kNearestDistance_m = 0.25F;
@@ -102,15 +102,21 @@ Freezer::Page& Freezer::at(const model::PageStore& store, std::uint32_t page) {
   std::vector<std::uint64_t> settled_under;
   if (frozen && entry.loss < 0 && light_count_ <= 1) settled_under = {0};
   if (frozen && entry.loss >= 0 && same_place) settled_under = of.frozen ? of.settled_under : of.lights_before;
-  // With what was put in or taken out its loss is another. How near views have come stays with the place.
+  const bool thawed = same_place && of.frozen && !frozen;
+  LightNumbers lights_before;
+  if (thawed) lights_before = of.lights_before;
+  // With what was put in or taken out its loss is another. What views came to stays with the place.
   of = {.generation = generation,
         .frame_id = now.frame_id,
         .morton_first = now.morton_first,
         .frozen = frozen,
         .since_s = store.optimizer_s(),
         .seen_s = store.optimizer_s(),
+        .loss_before = thawed ? of.loss_before : -1.0,
         .px_per_m = same_place ? of.px_per_m : 0.0F,
         .loss_at_freeze = frozen ? static_cast<double>(entry.loss) : 0.0,
+        .usual_from_afar = same_place ? of.usual_from_afar : -1.0,
+        .lights_before = std::move(lights_before),
         .settled_under = std::move(settled_under)};
   return of;
 }
@@ -136,19 +142,34 @@ void Freezer::see(const model::PageStore& store, std::span<const ViewLook> looks
       model::PageEntry& entry = store.table().entry(seen.page);
       if (!is_present(entry.now.state)) continue;
       Page& page = at(store, seen.page);
+      entry.contribution = static_cast<float>(seen.pairs);
+      entry.last_seen_step = store.step();
+      const float px_per_m = nearest_px_per_m(*look.view, entry.now.frame_id, entry.bounds);
+      if (px_per_m < kAsNear * std::min(page.px_per_m, look.view->camera.fx / kNear_m)) {
+        page.loss_from_afar += seen.error;
+        page.looks_from_afar += 1;
+        page.afar_px_per_m = std::max(page.afar_px_per_m, px_per_m);
+        continue;
+      }
       page.loss += seen.error;
       page.looks += 1;
       page.seen_s = store.optimizer_s();
       if (light && page.frozen && !contains(page.settled_under, *light)) page.unsettled_looks += 1;
-      if (light && !page.frozen) insert(page.lights, *light);
-      const float px_per_m = nearest_px_per_m(*look.view, entry.now.frame_id, entry.bounds);
+      if (light) insert(page.lights, *light);
       float& nearest = page.frozen ? page.thawing_px_per_m : page.px_per_m;
       nearest = std::max(nearest, px_per_m);
-      page.seen_from_near |= px_per_m >= kAsNear * std::min(page.px_per_m, look.view->camera.fx / kNear_m);
-      entry.contribution = static_cast<float>(seen.pairs);
-      entry.last_seen_step = store.step();
     }
   }
+}
+
+bool Freezer::got_worse_from_afar(Page& page, const FreezeOptions& options) {
+  if (page.looks_from_afar < kLeastLooks) return false;
+  const double loss = page.loss_from_afar / page.looks_from_afar;
+  page.loss_from_afar = page.looks_from_afar = 0;
+  if (page.usual_from_afar < 0) page.usual_from_afar = loss;
+  if (loss > options.thaw_rise * page.usual_from_afar + kLeastError) return true;
+  page.usual_from_afar += kNewFromAfar * (loss - page.usual_from_afar);
+  return false;
 }
 
 Freezer::Change Freezer::decide(const model::PageStore& store, const FreezeOptions& options,
@@ -165,7 +186,15 @@ Freezer::Change Freezer::decide(const model::PageStore& store, const FreezeOptio
     Page& page = at(store, number);
     model::PageEntry& entry = store.table().entry(number);
     entry.movement = movements[r];
-    if (!page.frozen && may_freeze && now_s - page.seen_s > kUnseenTimes * std::max(options.after_s, kDecidePeriod_s)) {
+    if (got_worse_from_afar(page, options)) {
+      // What it looks like has to be learned anew, from wherever it is seen.
+      page.px_per_m = std::exchange(page.afar_px_per_m, 0.0F);
+      page.usual_from_afar = -1;
+      page.seen_s = now_s;
+      if (page.frozen) change.thaw.push_back(number);
+      continue;
+    }
+    if (!page.frozen && may_freeze && now_s - page.seen_s > options.unseen_s) {
       entry.loss = 0;  // nobody knows what it would have come to: it goes on with what is seen of it next
       change.freeze.push_back(number);
       continue;
@@ -177,11 +206,12 @@ Freezer::Change Freezer::decide(const model::PageStore& store, const FreezeOptio
       if (page.loss_at_freeze < 0) entry.loss = static_cast<float>(page.loss_at_freeze = loss);
       if (page.px_per_m == 0) page.px_per_m = page.thawing_px_per_m;
       const bool nearer = page.px_per_m > 0 && page.thawing_px_per_m > kNearer * page.px_per_m;
-      // One that had not settled goes on where views come near again. From the end of a street all of it is in sight.
-      const bool teaches = page.loss_at_freeze > 0 || page.seen_from_near;
-      const bool worse = teaches && loss > options.thaw_rise * page.loss_at_freeze + kLeastError;
-      const bool relit = teaches && 2 * page.unsettled_looks >= page.looks;
+      const bool worse = loss > options.thaw_rise * page.loss_at_freeze + kLeastError;
+      const bool relit = 2 * page.unsettled_looks >= page.looks;
       if (nearer || worse || relit) change.thaw.push_back(number);
+      // What it gains in the first window tells whether there was anything to gain.
+      page.loss_before = worse && !relit ? loss : -1;
+      page.lights_before = std::exchange(page.lights, {});
       page.loss = page.looks = page.unsettled_looks = 0;
       continue;
     }

@@ -36,19 +36,25 @@ class Freezer {
     std::uint32_t frame_id = 0;
     std::uint64_t morton_first = 0;
     bool frozen = false;
-    double since_s = 0, seen_s = 0;  ///< of optimizer time: that the window began; of the last look
-    /// Sum over the looks of the window, and the mean of the one before; below 0: none.
+    double since_s = 0, seen_s = 0;  ///< of optimizer time: that the window began; of the last look from near
+    /// Sum over the looks of the window from near, and the mean of the one before; below 0: none.
     double loss = 0;
     std::uint32_t looks = 0;
     double loss_before = -1;
     float px_per_m = 0, thawing_px_per_m = 0;  ///< in the nearest view it trained with; in one since it froze
-    bool seen_from_near = false;               ///< since it froze, or about as near as it trained
     double loss_at_freeze = 0;                 ///< below 0: nobody knows
+    /// Looks from afar: sum since they were last judged, and what their mean has come to; below 0: nobody knows.
+    double loss_from_afar = 0;
+    std::uint32_t looks_from_afar = 0;
+    double usual_from_afar = -1;
+    float afar_px_per_m = 0;  ///< of the nearest of them
     /// Lights that it was seen under in the window, in the one before, and that it had settled under when it froze.
     LightNumbers lights, lights_before, settled_under;
     std::uint32_t unsettled_looks = 0;  ///< since it froze, under none of the latter
   };
   Page& at(const model::PageStore& store, std::uint32_t page);
+  /// Whether views from afar show a page worse than they used to.
+  [[nodiscard]] static bool got_worse_from_afar(Page& page, const FreezeOptions& options);
   /// Number of the scene's light among the last ones that differ; nullopt for one that is older than all of them.
   [[nodiscard]] std::optional<std::uint64_t> number_of(const SceneState& scene);
 

@@ -117,8 +117,9 @@ std::vector<ViewKey> KeptViews::keys(std::span<const Camera> cameras, float reac
     const Camera& kept = one.view->camera;
     const bool near =
         std::ranges::any_of(cameras, [&](const Camera& camera) { return distance_m(camera, kept) <= reach_m; });
+    if (!near) continue;
     const bool shown = std::ranges::any_of(cameras, [&](const Camera& camera) { return show_the_same(camera, kept); });
-    if (near && !shown) keys.push_back(key_of(*one.view));
+    if (!shown) keys.push_back(key_of(*one.view));
   }
   return keys;
 }

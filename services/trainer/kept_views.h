@@ -18,7 +18,7 @@ namespace splatbus::trainer {
 class KeptViews {
  public:
   struct Limits {
-    std::size_t views = 512, bytes = std::size_t{512} << 20;
+    std::size_t views = 2048, bytes = std::size_t{2} << 30;
     /// A view nearer than this to one that is kept, turned less and as wide, shows nothing else.
     float apart_m = 1, apart_radians = 0.5F, apart_zoom = 1.25F;
     /// Then it takes the other's place: what has changed in colour alone is nobody's version.

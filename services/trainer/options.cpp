@@ -97,6 +97,8 @@ void Options::bind(bus::ParameterBinder& p) {
         "share of its loss that a page has to lose in freeze_after_s to keep training", {0, 1});
   p.add("freeze_movement", freeze.most_movement,
         "largest distance of a page's Gaussians from their averages when it freezes, relative to their size", {0, 10});
+  p.add("freeze_unseen_s", freeze.unseen_s, "optimizer time without a view from near before a page freezes as it is, s",
+        {0, 3600});
   p.add("thaw_rise", freeze.thaw_rise, "factor by which a frozen page's loss has to rise before it trains again",
         {1, 100});
   p.add("densify", densify.enabled, "clone and split Gaussians where the gradient of the projected mean is large");

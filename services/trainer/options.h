@@ -39,6 +39,7 @@ struct FreezeOptions {
   double after_s = 5;          ///< of optimizer time, twice: the time over which its loss is compared
   float least_gain = 0.05F;    ///< part of its loss that a page which trains on loses in that time
   float most_movement = 0.1F;  ///< as page_movements()
+  double unseen_s = 8;         ///< of optimizer time without a view from near, after which it rests as it is
   float thaw_rise = 1.3F;      ///< of its loss as it froze, above which it trains again
 };
 

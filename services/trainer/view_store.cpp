@@ -9,11 +9,11 @@ namespace splatbus::trainer {
 namespace {
 
 /// Of a reference camera: what is farther off shows hardly anything of where it stands.
-constexpr float kKeptReach_m = 15;
+constexpr float kKeptReach_m = 20;
 /// Views that a new one is held against.
 constexpr std::size_t kKeptAtOnce = 4;
 /// What is kept has at most that part of the room of what cameras see now.
-constexpr std::size_t kKeptPart = 4;
+constexpr std::size_t kKeptPart = 2;
 
 }  // namespace
 

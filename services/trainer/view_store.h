@@ -20,7 +20,7 @@ namespace splatbus::trainer {
 class ViewStore {
  public:
   static constexpr std::size_t kMaxViews = 1024;
-  static constexpr std::size_t kMaxBytes = std::size_t{2} << 30;
+  static constexpr std::size_t kMaxBytes = std::size_t{4} << 30;
 
   explicit ViewStore(std::size_t max_views = kMaxViews, std::size_t max_bytes = kMaxBytes);
 

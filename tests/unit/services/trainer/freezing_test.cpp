@@ -58,7 +58,7 @@ class FreezerTest : public OptimizerTest {
 
   SceneState scene;
   Trial trial_;
-  FreezeOptions options_{.after_s = 3, .least_gain = 0.05F, .most_movement = 0.02F, .thaw_rise = 1.5F};
+  FreezeOptions options_{.after_s = 3, .least_gain = 0.05F, .most_movement = 0.02F, .unseen_s = 12, .thaw_rise = 1.5F};
   Freezer freezer_;
   std::vector<std::uint32_t> pages_;
   std::vector<float> movements_;
@@ -126,6 +126,42 @@ TEST_F(FreezerTest, WhatHadNotSettledDoesNotTrainFromAfar) {
   ASSERT_EQ(state(1), PageState::Frozen);
   for (int s = 0; s < 3; ++s) EXPECT_TRUE(second({0.1, 0.3}, 8, 7).thaw.empty());
   EXPECT_EQ(second({0.1, 0.3}, 8, 5).thaw, std::vector{pages_[1]});
+}
+
+TEST_F(FreezerTest, WhatIsSeenFromAfarAloneRestsAsItIs) {
+  for (int s = 0; s < 3; ++s) (void)second({0.1, 0.2}, 8, 3);
+  for (int s = 0; s < 11; ++s) EXPECT_TRUE(second({-1, 0.1}, 8, 7).freeze.empty()) << s;
+  for (int s = 0; s < 4; ++s) (void)second({-1, 0.1}, 8, 7);
+  EXPECT_EQ(state(1), PageState::Frozen);
+  // What its loss is from there says nothing of how well it is known.
+  EXPECT_TRUE(second({-1, 0.12}, 8, 7).thaw.empty());
+  EXPECT_EQ(second({-1, 0.1}, 8, 3).thaw, std::vector{pages_[1]});
+}
+
+TEST_F(FreezerTest, WhatLooksWorseFromAfarIsLearnedFromThere) {
+  for (int s = 0; s < 6; ++s) (void)second({0.1, 0.1}, 8, 3);
+  ASSERT_EQ(state(1), PageState::Frozen);
+  for (int s = 0; s < 6; ++s) EXPECT_TRUE(second({0.1, 0.3}, 8, 8).thaw.empty()) << s;
+  EXPECT_EQ(second({0.1, 0.5}, 8, 8).thaw, std::vector{pages_[1]});
+  // Those views count now: it settles again with what they come to.
+  for (int s = 0; s < 9; ++s) (void)second({0.1, 0.4}, 8, 8);
+  EXPECT_EQ(state(1), PageState::Frozen);
+  EXPECT_FLOAT_EQ(store().table().entry(pages_[1]).loss, 0.4F);
+}
+
+TEST_F(FreezerTest, WhoWalksAwaySeesNothingWorse) {
+  for (int s = 0; s < 6; ++s) (void)second({0.1}, 8, 3);
+  double loss = 0.1;
+  for (int s = 0; s < 40; ++s) EXPECT_TRUE(second({loss *= 1.05}, 8, 6.5F + static_cast<float>(s)).thaw.empty()) << s;
+}
+
+TEST_F(FreezerTest, WhatLearnsNothingNewRestsAfterOneWindow) {
+  for (int s = 0; s < 6; ++s) (void)second({0.1, 0.1});
+  ASSERT_EQ(second({0.2, 0.2}).thaw.size(), 2U);
+  double falling = 0.2;
+  for (int s = 0; s < 5; ++s) (void)second({0.199, falling *= 0.9});
+  EXPECT_EQ(state(0), PageState::Frozen);
+  EXPECT_EQ(state(1), PageState::Active);
 }
 
 TEST_F(FreezerTest, NobodyHasToComeAsNearAsACameraThatStoodInIt) {
