@@ -29,8 +29,7 @@ class SharingTest : public StreamerTest {
         said.pages.clear();
         for (const wire::SharePage* page : *body.pages()) said.pages.insert(page->page());
       }
-      for (const wire::SharePacket* packet : *body.packets()) said.answers += packet->answer() ? 1 : 0;
-      said.deltas += body.packets()->size();
+      for (const wire::SharePacket* packet : *body.packets()) ++(packet->answer() ? said.answers : said.deltas);
     });
     EXPECT_TRUE(listener_.wait_connected(std::chrono::duration_cast<std::chrono::milliseconds>(bus_test::patience)));
   }
@@ -102,7 +101,7 @@ class SharingTest : public StreamerTest {
   struct Said {
     std::set<std::uint32_t> pages;
     std::uint64_t epoch = 0;
-    std::size_t messages = 0, answers = 0, deltas = 0;
+    std::size_t messages = 0, answers = 0, deltas = 0;  ///< packets: pages and visibility that were asked for; others
   };
   bus::Subscriber listener_;
   std::map<std::string, Said> said_;

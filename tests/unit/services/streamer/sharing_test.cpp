@@ -12,9 +12,8 @@ TEST_F(SharingTest, EachPageIsEncodedByOneAndShownByTheViewersOfBoth) {
     return shows_model(*a) && shows_model(*b) && divided({kOne, kTwo}, *a);
   }));
   train({a.get(), b.get()}, 1500ms);
-  ASSERT_TRUE(until({a.get(), b.get()}, [&] {
-    return shows_model(*a) && shows_model(*b) && hold_the_same(a->replica(), b->replica());
-  }));
+  ASSERT_TRUE(until({a.get(), b.get()},
+                    [&] { return shows_model(*a) && shows_model(*b) && hold_the_same(a->replica(), b->replica()); }));
   EXPECT_EQ(a->replica().epoch(), b->replica().epoch());
   EXPECT_GT(said_[kOne].deltas, 10U);
   EXPECT_GT(said_[kTwo].deltas, 10U);
@@ -31,6 +30,7 @@ TEST_F(SharingTest, OneWithoutViewersEncodesForThoseOfTheOther) {
   train({a.get()}, 500ms);
   ASSERT_TRUE(until({a.get()}, [&] { return shows_model(*a); }));
   EXPECT_GT(said_[kTwo].answers, 0U) << "pages that its viewer lacked";
+  EXPECT_GT(said_[kTwo].deltas, 5U) << "of pages that nobody here holds, but somebody there";
   EXPECT_EQ(a->refused(), 0U);
 }
 
@@ -51,17 +51,18 @@ TEST_F(SharingTest, WhoComesLaterGoesOnWithTheStreamThatThereIs) {
   const std::uint64_t epoch = a->replica().epoch();
   const auto two = streamer(kTwo);
   const auto b = viewer_of(*two);
-  bool stood = true;
+  bool stood = true, own = false;
   ASSERT_TRUE(until({a.get(), b.get()}, [&] {
     stood = stood && a->replica().count() == model_.count() && a->replica().epoch() == epoch;
+    own = own || (b->replica().epoch() != 0 && b->replica().epoch() != epoch);
     return divided({kOne, kTwo}, *a) && shows_model(*a) && shows_model(*b);
   }));
   EXPECT_TRUE(stood) << "what is shown stays while pages go over";
   EXPECT_EQ(b->replica().epoch(), epoch);
+  EXPECT_FALSE(own) << "it waits to hear in which stream others are";
   train({a.get(), b.get()}, 500ms);
-  ASSERT_TRUE(until({a.get(), b.get()}, [&] {
-    return shows_model(*a) && shows_model(*b) && hold_the_same(a->replica(), b->replica());
-  }));
+  ASSERT_TRUE(until({a.get(), b.get()},
+                    [&] { return shows_model(*a) && shows_model(*b) && hold_the_same(a->replica(), b->replica()); }));
   EXPECT_EQ(a->refused() + b->refused(), 0U);
 }
 
