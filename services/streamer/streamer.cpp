@@ -5,7 +5,6 @@
 
 #include <algorithm>
 #include <chrono>
-#include <functional>
 #include <utility>
 #include <zmq.hpp>
 
@@ -31,7 +30,6 @@ constexpr std::int64_t kIdleNs = 50'000'000;
 constexpr std::int64_t kBlockedNs = 5'000'000;  // between tries while a viewer's queue is full
 constexpr double kKeepForNobody_s = 60;
 constexpr double kUnlimited = 1e18;   // bytes a second
-constexpr std::size_t kMaxRelit = 4;  // generations of the model
 constexpr int kPictureZstdLevel = 1;  // probe pictures are for measurements on the same machine
 
 }  // namespace
@@ -126,12 +124,16 @@ void Streamer::step(std::int64_t now_ns) {
   take_messages(now_ns);
   // The first Gaussians do not wait for the tick.
   const bool first = announcement_ && !model_.status().ready && is_followed();
-  if (!follower_.busy() && (now_ns >= next_tick_ns_ || first) && sharing_.may_begin(now_ns)) {
-    begin_tick(now_ns);
-    const auto period_ns = static_cast<std::int64_t>(1e9 / static_cast<double>(options_->hub.tick_hz));
-    next_tick_ns_ = std::max(next_tick_ns_ + period_ns, now_ns);
-    // Replicas of one machine tick together: what they make goes to viewers at once.
-    if (sharing_.active()) next_tick_ns_ = (now_ns / period_ns + 1) * period_ns;
+  if (!follower_.busy() && (now_ns >= next_tick_ns_ || first)) {
+    if (sharing_.may_begin(now_ns)) {
+      begin_tick(now_ns);
+      const auto period_ns = static_cast<std::int64_t>(1e9 / static_cast<double>(options_->hub.tick_hz));
+      next_tick_ns_ = std::max(next_tick_ns_ + period_ns, now_ns);
+      // Replicas of one machine tick together: what they make goes to viewers at once.
+      if (sharing_.active()) next_tick_ns_ = (now_ns / period_ns + 1) * period_ns;
+    } else {
+      next_tick_ns_ = now_ns + kIdleNs;
+    }
   }
   blocked_ = hub_.pump(now_ns);
   hub_.expire(now_ns);
@@ -174,104 +176,6 @@ void Streamer::take_scene(const wire::SceneUpdate& body) {
   hub_.set_objects(scene.objects);
   sharing_.set_scene(scene);
   if (packet) hub_.add_scene(*packet);
-}
-
-// Which of them is of the model that viewers hold shows at the next tick: relight may be ahead of it.
-void Streamer::take_visibility(const wire::RelightVisibility& body, const bus::Message& message) {
-  const std::uint64_t generation = body.model_generation(), version = body.scene_version();
-  const bus::TracedWork work("take visibility", 0, version);
-  const bool is_part = body.parts() > 0;
-  if (generation < observed_generation_) return;
-  // Another replica may be ahead of this one; each page has the newest of its own.
-  if (!is_part && version < model_.status().visibility_version) return;
-  if (const auto newest = relit_.find(generation);
-      !is_part && newest != relit_.end() && newest->second.scene_version > version) {
-    return;
-  }
-  if (body.count() > stream::kMaxModelGaussians) {
-    throw bus::Error(fmt::format("relight/visibility: of {} Gaussians, at most {} can be read", body.count(),
-                                 stream::kMaxModelGaussians));
-  }
-  const auto& lights = *body.light_ids();
-  if (lights.size() == 0 || lights.size() > 1 + kMaxLightSources || lights.Get(0) != 0 ||
-      std::ranges::adjacent_find(lights, std::greater_equal<>{}) != lights.end()) {
-    throw bus::Error(fmt::format("relight/visibility: its {} light_ids are not 0 and ascending", lights.size()));
-  }
-  const auto tensor =
-      message.tensor("visibility", bus::ElementType::U8, {lights.size(), static_cast<std::uint32_t>(body.count())});
-  if (!tensor) return;
-  std::vector<std::uint8_t> of_index(tensor->bytes());
-  if (!tensor->copy(of_index.data())) return;
-  if (is_part) {
-    merge_visibility(body, of_index);
-  } else {
-    relit_[generation] = {.scene_version = version,
-                          .light_ids = {lights.begin(), lights.end()},
-                          .of_index = std::move(of_index),
-                          .covered = {}};
-  }
-  if (relit_.size() > kMaxRelit) relit_.erase(relit_.begin());
-}
-
-void Streamer::merge_visibility(const wire::RelightVisibility& body, const std::vector<std::uint8_t>& part) {
-  const std::size_t count = body.count(), page_indices = body.page_indices();
-  if (page_indices == 0) throw bus::Error("relight/visibility: a part without page_indices");
-  const std::size_t pages = (count + page_indices - 1) / page_indices;
-  const std::vector<std::uint32_t> lights(body.light_ids()->begin(), body.light_ids()->end());
-  Visibility& relit = relit_[body.model_generation()];
-  if (relit.light_ids != lights || relit.of_index.size() != part.size()) {
-    if (body.scene_version() < relit.scene_version) return;
-    relit = {.scene_version = body.scene_version(),
-             .light_ids = lights,
-             .of_index = std::vector<std::uint8_t>(part.size(), 255),
-             .page_indices = body.page_indices(),
-             .covered = std::vector<std::uint8_t>(pages, 0),
-             .version_of_page = std::vector<std::uint64_t>(pages, 0)};
-  } else if (relit.covered.empty() || relit.page_indices != page_indices) {
-    relit.page_indices = body.page_indices();
-    relit.covered.assign(pages, 1);
-    relit.version_of_page.assign(pages, relit.scene_version);
-  }
-  if (body.pages() == nullptr) return;
-  for (const std::uint32_t page : *body.pages()) {
-    if (page >= pages || body.scene_version() < relit.version_of_page[page]) continue;
-    relit.version_of_page[page] = body.scene_version();
-    relit.covered[page] = 1;
-    const std::size_t first = page * page_indices, length = std::min(page_indices, count - first);
-    for (std::size_t light = 0; light < lights.size(); ++light) {
-      std::copy_n(part.begin() + static_cast<std::ptrdiff_t>(light * count + first), length,
-                  relit.of_index.begin() + static_cast<std::ptrdiff_t>(light * count + first));
-    }
-    relit.sent = false;
-  }
-  relit.scene_version = std::max(relit.scene_version, body.scene_version());
-}
-
-void Streamer::send_visibility(std::int64_t now_ns) {
-  const double bytes_per_s = options_->visibility_kbps * 125;
-  visibility_balance_bytes_ = std::min(
-      visibility_balance_bytes_ + bytes_per_s * static_cast<double>(now_ns - visibility_ns_) / 1e9, bytes_per_s / 2);
-  visibility_ns_ = now_ns;
-  relit_.erase(relit_.begin(), relit_.lower_bound(observed_generation_));
-  const auto relit = relit_.find(observed_generation_);
-  if (relit == relit_.end() || relit->second.sent || !model_.status().ready) return;
-  if (now_ns < next_visibility_ns_ || visibility_balance_bytes_ < 0) return;
-  next_visibility_ns_ = now_ns + static_cast<std::int64_t>(1e9 / options_->visibility_hz);
-  relit->second.sent = true;
-  try {
-    auto packets = model_.take_visibility({.light_ids = relit->second.light_ids,
-                                           .of_index = relit->second.of_index,
-                                           .scene_version = relit->second.scene_version,
-                                           .page_indices = relit->second.page_indices,
-                                           .covered = relit->second.covered},
-                                          visibility_balance_bytes_);
-    relit->second.sent = model_.visibility_rests();
-    for (const auto& packet : packets) visibility_balance_bytes_ -= static_cast<double>(packet.packet.bytes());
-    sharing_.publish_visibility(packets);
-    hub_.add_visibility(std::move(packets));
-  } catch (const stream::StreamError& error) {
-    if (log_limiter_.allow()) spdlog::error("{}", error.what());
-  }
 }
 
 void Streamer::forward_probe(const wire::CaptureProbe& body, const bus::Message& message) {

@@ -65,8 +65,8 @@ void Streamer::publish_statistics(std::int64_t now_ns) {
       types.push_back(wire::CreatePacketBytesDirect(builder, wire::EnumNameBody(static_cast<wire::Body>(i)),
                                                     type.total_bytes, type.window_bytes, type.packets));
     }
-    return wire::CreateStreamStatsDirect(builder, header, held.epoch, held.version, held.pages,
-                                         static_cast<std::uint32_t>(hub_.viewers()), held.gaussians, ticked_.observed,
+    return wire::CreateStreamStatsDirect(builder, header, held.epoch, held.version, hub_.pages(),
+                                         static_cast<std::uint32_t>(hub_.viewers()), hub_.gaussians(), ticked_.observed,
                                          window.total_bytes, window.bytes, window.seconds, window.mbps,
                                          window.mbps_mean, window.mbps_peak, counts.whole_pages, counts.lost_packets,
                                          counts.refused_pages, hub_.lost_viewers(), &types);
@@ -77,7 +77,7 @@ void Streamer::publish_statistics(std::int64_t now_ns) {
   service_.counter("encode_ms", load_.encode_ms_a_tick);
   service_.counter("send_ms", load_.send_ms_a_tick);
   service_.counter("bytes_per_s", load_.bytes_per_s);
-  service_.counter("gaussians", static_cast<double>(held.gaussians));
+  service_.counter("gaussians", static_cast<double>(hub_.gaussians()));
   service_.counter("unsent_gaussians", static_cast<double>(ticked_.unsent));
   service_.counter("pending_deltas", static_cast<double>(ticked_.pending_deltas));
   service_.counter("tick_ms", ticked_.ms);
@@ -87,7 +87,9 @@ void Streamer::publish_statistics(std::int64_t now_ns) {
   service_.counter("wire_mbps_mean", window.mbps_mean);
   service_.counter("wire_mbps_peak", window.mbps_peak);
   service_.counter("wire_bytes", static_cast<double>(window.total_bytes));
-  service_.counter("pages", static_cast<double>(held.pages));
+  service_.counter("pages", static_cast<double>(hub_.pages()));
+  service_.counter("own_pages", static_cast<double>(held.pages));
+  service_.counter("replicas", static_cast<double>(sharing_.replicas()));
   service_.counter("whole_pages", static_cast<double>(counts.whole_pages));
   service_.counter("lost_packets", static_cast<double>(counts.lost_packets));
   service_.counter("refused_pages", static_cast<double>(counts.refused_pages));

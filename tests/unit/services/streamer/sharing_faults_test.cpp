@@ -40,6 +40,10 @@ class SharingFaults : public SharingTest {
     });
   }
 
+  [[nodiscard]] float mean_step() const {
+    return viewer_->replica().held().layout.at(stream::Attribute::Mean).quantizer.step;
+  }
+
   std::shared_ptr<bus::Context> process_ = connect(kTwo);  // one connection: that is one process to the broker
   std::unique_ptr<RunningStreamer> one_;
   std::unique_ptr<StreamClient> viewer_;
@@ -78,6 +82,33 @@ TEST_F(SharingFaults, WhatTheBrokerKnowsToHaveEndedIsNotWaitedFor) {
   move_model();
   ASSERT_TRUE(stands_until([&] { return shows_model(*viewer_); }));
   EXPECT_LT(std::chrono::steady_clock::now() - begin, 2500ms) << "silence alone says so after three seconds";
+}
+
+TEST_F(SharingFaults, WhoSaysWhatCannotBeTakesNoPage) {
+  const bus::Publisher liar(connect("streamer-9"));
+  const auto claim = [&](std::uint32_t gaussians) {
+    liar.publish(topics::kStreamShare, [&](auto& builder, auto header) {
+      std::vector<wire::SharePage> pages;
+      for (std::uint32_t page = 0; page < 20; ++page) {
+        pages.emplace_back(page, 4'000'000'000U, 1, page < 19 ? 1 : gaussians, 0, wire::PageBox(), 0, false);
+      }
+      const auto pages_at = builder.CreateVectorOfStructs(pages);
+      return wire::CreateStreamShare(builder, header, epoch_, wire::Appearance::Transfer, 0, mean_step(), true, false,
+                                     4'000'000'001U, false, 0, 0, 0, true, pages_at, 0, 0);
+    });
+  };
+  for (int k = 0; k < 50; ++k) {
+    claim(kPageLanes + 1);
+    if (k % 10 == 0) move_model();
+    const auto end = std::chrono::steady_clock::now() + 20ms;
+    ASSERT_TRUE(stands_until([&] { return std::chrono::steady_clock::now() > end; }));
+  }
+  EXPECT_TRUE(stands_until([&] { return shows_model(*viewer_) && divided({kOne, kTwo}, *viewer_); }));
+  // The same without what cannot be is believed: it is whose the pages are that changes.
+  EXPECT_TRUE(until({viewer_.get()}, [&] {
+    claim(1);
+    return !divided({kOne, kTwo}, *viewer_);
+  }));
 }
 
 TEST_F(SharingFaults, OneThatLeavesGivesItsPagesAway) {

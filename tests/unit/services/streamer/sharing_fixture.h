@@ -29,6 +29,7 @@ class SharingTest : public StreamerTest {
         said.pages.clear();
         for (const wire::SharePage* page : *body.pages()) said.pages.insert(page->page());
       }
+      if (!body.packets()) return;
       for (const wire::SharePacket* packet : *body.packets()) ++(packet->answer() ? said.answers : said.deltas);
     });
     EXPECT_TRUE(listener_.wait_connected(std::chrono::duration_cast<std::chrono::milliseconds>(bus_test::patience)));
