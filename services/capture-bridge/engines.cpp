@@ -105,38 +105,43 @@ std::map<std::string, std::vector<CameraRequest>> Engines::divide(const std::vec
 void Engines::share_out(const std::vector<CameraRequest>& requests) {
   std::map<Key, Share> before = std::exchange(shares_, {});
   if (in_use_.empty()) return;
-  std::map<std::string, std::size_t> loads;
-  for (const Senior& engine : in_use_) loads[engine.name] = 0;
+  // Each role by itself: pictures of one may come at a rate while those of the other stand.
+  std::map<CameraRole, Loads> loads;
+  for (const Senior& engine : in_use_) {
+    for (const CameraRole role : {CameraRole::Input, CameraRole::Reference}) loads[role][engine.name] = 0;
+  }
   const std::string& lead = in_use_.front().name;
   std::vector<Key> homeless;
   for (const CameraRequest& request : requests) {
     const Key key(request.camera.role, request.camera.id);
     const auto had = before.find(key);
-    const bool known = had != before.end() && loads.contains(had->second.engine);
+    const bool known = had != before.end() && loads[CameraRole::Input].contains(had->second.engine);
     if (is_divided(key.first) && !known) {
       homeless.push_back(key);
       continue;
     }
     const bool stays = known && (is_divided(key.first) || had->second.engine == lead);
     const Share& share = shares_.emplace(key, stays ? had->second : Share{.engine = lead}).first->second;
-    ++loads[share.engine];
+    ++loads[is_divided(key.first) ? key.first : CameraRole::Input][share.engine];
   }
   for (const Key& key : homeless) {
-    const Senior& least = *std::ranges::min_element(in_use_, {}, [&](const Senior& one) { return loads[one.name]; });
+    Loads& of_role = loads[key.first];
+    const Senior& least = *std::ranges::min_element(in_use_, {}, [&](const Senior& one) { return of_role[one.name]; });
     shares_.emplace(key, Share{.engine = least.name});
-    ++loads[least.name];
+    ++of_role[least.name];
   }
   if (std::exchange(uneven_, false)) even_out(loads);
 }
 
-/// The lead's cameras that are not divided count: it has fewer of the others for them.
-void Engines::even_out(std::map<std::string, std::size_t>& loads) {
-  for (auto share = shares_.rbegin(); share != shares_.rend(); ++share) {
-    if (!is_divided(share->first.first)) continue;
-    const auto least = std::ranges::min_element(loads, {}, [](const auto& load) { return load.second; });
-    std::size_t& load = loads[share->second.engine];
+/// The lead's cameras that are not divided count: it has fewer input cameras for them.
+void Engines::even_out(std::map<CameraRole, Loads>& loads) {
+  for (auto& [camera, share] : shares_) {
+    if (!is_divided(camera.first)) continue;
+    Loads& of_role = loads[camera.first];
+    const auto least = std::ranges::min_element(of_role, {}, [](const auto& load) { return load.second; });
+    std::size_t& load = of_role[share.engine];
     if (load < least->second + 2) continue;
-    share->second = {.engine = least->first};
+    share = {.engine = least->first};
     --load;
     ++least->second;
   }

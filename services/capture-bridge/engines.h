@@ -57,11 +57,12 @@ class Engines {
     std::uint64_t request_id = 0;  // that it was last asked by
   };
   using Key = std::pair<CameraRole, std::uint32_t>;
+  using Loads = std::map<std::string, std::size_t>;  // cameras, by engine
 
   void choose();
   [[nodiscard]] bool idles(const Senior& engine, std::int64_t now_ns) const;
   void share_out(const std::vector<CameraRequest>& requests);
-  void even_out(std::map<std::string, std::size_t>& loads);
+  void even_out(std::map<CameraRole, Loads>& loads);
 
   std::vector<Senior> running_;
   std::vector<Senior> in_use_;  // who has rested goes behind all others

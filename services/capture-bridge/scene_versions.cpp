@@ -1,7 +1,7 @@
 #include "capture-bridge/scene_versions.h"
 
 #include <algorithm>
-#include <ranges>
+#include <iterator>
 #include <utility>
 
 #include "gaussians/player.h"
@@ -18,9 +18,16 @@ Light unnamed(Light light) {
   return light;
 }
 
+/// But for the player's camera.
 bool same_objects(const ObjectTransforms& a, const ObjectTransforms& b) {
-  const auto shows = [](const auto& object) { return object.first != kPlayerId; };
-  return std::ranges::equal(a | std::views::filter(shows), b | std::views::filter(shows));
+  const auto shown = [](auto object, const ObjectTransforms& of) {
+    return object != of.end() && object->first == kPlayerId ? std::next(object) : object;
+  };
+  auto p = shown(a.begin(), a), q = shown(b.begin(), b);
+  for (; p != a.end() && q != b.end(); p = shown(std::next(p), a), q = shown(std::next(q), b)) {
+    if (*p != *q) return false;
+  }
+  return p == a.end() && q == b.end();
 }
 
 }  // namespace
@@ -43,11 +50,10 @@ void SceneVersions::seen(std::uint64_t frame, double time_s) {
 const SceneVersion* SceneVersions::showing(const SceneState& state) const {
   if (!any_) return nullptr;
   const Light light = unnamed(state.light);
-  for (auto version = versions_.rbegin(); version != versions_.rend(); ++version) {
-    const SceneState& known = *version->state;
-    if (unnamed(known.light) == light && same_objects(known.objects, state.objects)) return &*version;
-  }
-  return nullptr;
+  const auto found = std::find_if(versions_.rbegin(), versions_.rend(), [&](const SceneVersion& version) {
+    return unnamed(version.state->light) == light && same_objects(version.state->objects, state.objects);
+  });
+  return found == versions_.rend() ? nullptr : &*found;
 }
 
 }  // namespace splatbus::capture_bridge

@@ -135,7 +135,8 @@ TEST(Engines, TwoMakeOneModelAndAnyProcessMayDie) {
   EXPECT_EQ(pictures.writers, (std::vector<std::string>{first, second}));
 
   // Either engine falls silent, the one that leads and one that follows: all cameras are the other's until it is back.
-  for (const auto& [silent, other] : {std::pair("engine-1", "engine-2"), std::pair("engine-2", "engine-1")}) {
+  for (const std::string silent : {"engine-1", "engine-2"}) {
+    const std::string other = silent == "engine-1" ? "engine-2" : "engine-1";
     SCOPED_TRACE(silent);
     const pid_t pid = pipeline.pids().at(silent);
     ASSERT_EQ(kill(pid, SIGSTOP), 0);
