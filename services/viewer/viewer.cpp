@@ -158,7 +158,8 @@ bool Viewer::show(bool changed) {
         {.time_s = static_cast<double>(now_ns - begin_ns_) / 1e9, .world_from_camera = camera_.world_from_camera});
   }
   receiver_.send_pose(camera_);
-  if (shown_.gaussians == 0) return false;
+  // A world that became empty is drawn as one.
+  if (shown_.gaussians == 0 && frames_ == 0) return false;
   if (window_ && window_->take_frame_all()) frame_all();
   const float time_s = receiver_.fade_time_s(now_ns);
   const bool settles = window_ ? painter_->settles(time_s) : painter_->recoloring();

@@ -89,6 +89,7 @@ export const texts = {
     floats: 'the graphics driver cannot draw into 16-bit floats',
     webgpu: 'WebGPU is not available',
     device: 'WebGPU found no device',
+    answer: 'the graphics driver does not answer',
     canvas: 'WebGPU cannot draw to the page',
     headset: 'there is none',
   },

@@ -80,6 +80,7 @@ test('twenty pages at once', async () => {
         worker.onmessage = ({ data }) => {
           const before = after;
           after = data.kind;
+          if (data.kind === 'failed') reject(new Error(`a worker failed: ${JSON.stringify(data)}`));
           if (data.kind !== 'figures') return;
           const { gaussians, missing, epoch, atMs } = data.figures;
           if (last && before === 'connection' && missing < 0 && epoch === last.epoch) openedMs = Math.min(openedMs, atMs - last.atMs);
@@ -135,7 +136,7 @@ for (const called of ['receive', 'set_pose', 'take_changes']) {
   test(`a trap in the stream worker's ${called}(): another follows the stream, and the picture stands`, async () => {
     const film = await filmed(page);
     const { bytes } = await figures();
-    await trapIn(page, called);
+    await (await trapIn(page, called))();
     await page.waitForFunction((before) => window.splatbus.figures.bytes < before, bytes); // counted anew
     await page.waitForFunction(() => window.splatbus.connection === 'open' && window.splatbus.figures.gaussians > 1000 && window.splatbus.figures.missing === 0);
     await standsUntil((now, then) => now.sequence > then, (await figures()).sequence);

@@ -196,3 +196,14 @@ test('the camera comes to its goal without a jump, in the same time at any rate 
   still.advance(1 / 60);
   assert.deepEqual([still.shown.yaw, still.shown.distance], [1, 2]);
 });
+
+test('a driver that never answers is an error, and what it gives later is handed back', async () => {
+  assert.equal(await logic.inTime(Promise.resolve(7), () => assert.fail(), 20), 7);
+  await assert.rejects(logic.inTime(Promise.reject(new Error('lost')), () => assert.fail(), 20), /lost/);
+  let answer;
+  const given = new Promise((late) => {
+    const promise = new Promise((resolve) => (answer = resolve));
+    assert.rejects(logic.inTime(promise, late, 20), /does not answer/).then(() => answer('late'));
+  });
+  assert.equal(await given, 'late');
+});

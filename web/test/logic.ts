@@ -4,6 +4,7 @@ export { Rig, viewOf } from '../src/camera/rig';
 export { flip } from '../src/compare/flip';
 export { ssim } from '../src/compare/ssim';
 export { viewOfEye, xrFromWorld } from '../src/xr/xr_view';
+export { inTime } from '../src/render/in_time';
 export { randomNumbers } from './page/synthetic_scene';
 export { ColorPlayout } from '../src/motion/color_playout';
 export { Playout } from '../src/motion/playout';

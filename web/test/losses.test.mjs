@@ -67,10 +67,10 @@ for (const called of ['sort', 'sorter_update']) {
       async (page) => {
         await settled(page);
         const film = await filmed(page);
-        const trapped = trapIn(page, called);
+        const trapped = await trapIn(page, called);
         if (called === 'sort') await page.evaluate(() => window.splatbus.rig.orbit(0.1, 0));
         else await page.evaluate(() => new BroadcastChannel('change').postMessage(17));
-        await trapped;
+        await trapped();
         await uploaded(page, 2);
         // It sorts, from where one looks now.
         const before = await page.evaluate(() => window.splatbus.frames);

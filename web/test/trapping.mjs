@@ -8,7 +8,11 @@ const kPrelude = `
     const { instance } = await instantiate(...given);
     let due = null;
     const channel = new BroadcastChannel('trap');
-    channel.onmessage = ({ data }) => (due = data);
+    channel.onmessage = ({ data }) => {
+      if (!data.trap) return;
+      due = data.trap;
+      channel.postMessage('armed');
+    };
     const guarded = (name, call) => (...values) => {
       if (due !== name) return call(...values);
       due = null;
@@ -28,14 +32,21 @@ export const letTrap = (page, script) =>
     await route.fulfill({ response: answer, body: kPrelude + (await answer.text()) });
   });
 
-/** The next call of this function ends in a trap; resolves when it has been made. */
-export const trapIn = (page, name) =>
-  page.evaluate(
+/** From now on the next call of this function ends in a trap. Gives what resolves when it has been made. */
+export const trapIn = async (page, name) => {
+  await page.evaluate(
     (called) =>
-      new Promise((resolve) => {
+      new Promise((armed) => {
         const channel = new BroadcastChannel('trap');
-        channel.onmessage = () => resolve(channel.close());
-        channel.postMessage(called);
+        window.trapped = new Promise((trapped) => {
+          channel.onmessage = ({ data }) => {
+            if (data === 'armed') armed();
+            if (data === 'trapped') trapped(channel.close());
+          };
+        });
+        channel.postMessage({ trap: called });
       }),
     name,
   );
+  return () => page.evaluate(() => window.trapped);
+};

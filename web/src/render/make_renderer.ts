@@ -1,3 +1,4 @@
+import { inTime } from './in_time';
 import type { Renderer } from './renderer';
 import { WebGl2Renderer } from './webgl2/webgl2_renderer';
 import { WebGpuRenderer } from './webgpu/webgpu_renderer';
@@ -9,8 +10,9 @@ let webGpuFailed = false;
 /** Whether a canvas can be drawn by a WebGPU device that is no software. */
 async function hasFastWebGpu(): Promise<boolean> {
   if (webGpuFailed) return false;
-  const adapter = await navigator.gpu?.requestAdapter({ powerPreference: 'high-performance' }).catch(() => null);
-  return adapter !== null && adapter !== undefined && !adapter.info.isFallbackAdapter;
+  if (!navigator.gpu) return false;
+  const adapter = await inTime(navigator.gpu.requestAdapter({ powerPreference: 'high-performance' })).catch(() => null);
+  return adapter !== null && !adapter.info.isFallbackAdapter;
 }
 
 /**

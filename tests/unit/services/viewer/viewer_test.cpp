@@ -87,6 +87,28 @@ TEST_F(ViewerTest, WritesFramesThatShowTheModel) {
   EXPECT_GT(viewer_->first_picture_ns(), 0);
 }
 
+TEST_F(ViewerTest, AWorldThatBecameEmptyIsShownEmpty) {
+  trainer_.publish_light(daylight());
+  trainer_.publish(stream::test::toy_model(2000, 1));
+  start_streamer();
+  start_viewer({{"out", out_}, {"frames", "1"}, {"fps", "50"}, {"width", "48"}, {"height", "32"}, {"path", "still"}});
+  ASSERT_TRUE(bus_test::eventually([&] { return fs::exists(fs::path(out_) / "frame_000000.png"); }));
+  trainer_.publish(stream::test::toy_model(0, 1));
+  const auto last = [&] {
+    int number = 0;
+    while (fs::exists(fs::path(out_) / fmt::format("frame_{:06}.png", number + 1))) ++number;
+    return number;
+  };
+  const auto is_empty = [&](int number) {
+    const cv::Mat picture = metrics::read_png(fs::path(out_) / fmt::format("frame_{:06}.png", number));
+    cv::Scalar mean, deviation;
+    cv::meanStdDev(picture, mean, deviation);
+    return !picture.empty() && cv::norm(deviation) < 1;
+  };
+  EXPECT_FALSE(is_empty(0));
+  EXPECT_TRUE(bus_test::eventually([&] { return is_empty(last()); }));
+}
+
 TEST_F(ViewerTest, GoesOnWhereNoPictureCanBeWritten) {
   trainer_.publish_light(daylight());
   trainer_.publish(stream::test::toy_model(2000, 1));

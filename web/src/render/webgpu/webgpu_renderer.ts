@@ -1,5 +1,6 @@
 import { cameraFromObjects, kTransformFloats, scaledView } from '../../math';
 import type { ColorUpdate, RowUpdate } from '../../records';
+import { inTime } from '../in_time';
 import { blendedBackground, fitTo, GraphicsError, tangentLimits, targetSize, type Frame, type Picture, type Renderer, type Uploaded } from '../renderer';
 import { texts } from '../../texts';
 import { DepthOrder, DepthPipelines } from './depth_order';
@@ -25,13 +26,13 @@ export class WebGpuRenderer implements Renderer {
   #splatGroup: GPUBindGroup | null = null;
   #target: GPUTexture | null = null;
 
-  /** Throws GraphicsError where the browser has no WebGPU. */
+  /** Throws GraphicsError where the browser has no WebGPU, or does not answer. */
   static async make(canvas: HTMLCanvasElement): Promise<WebGpuRenderer> {
     if (!navigator.gpu) throw new GraphicsError(texts.lacks.webgpu);
-    const adapter = await navigator.gpu.requestAdapter({ powerPreference: 'high-performance' });
+    const adapter = await inTime(navigator.gpu.requestAdapter({ powerPreference: 'high-performance' }));
     if (!adapter) throw new GraphicsError(texts.lacks.device);
     const { maxStorageBufferBindingSize, maxBufferSize } = adapter.limits;
-    const device = await adapter.requestDevice({ requiredLimits: { maxStorageBufferBindingSize, maxBufferSize } });
+    const device = await inTime(adapter.requestDevice({ requiredLimits: { maxStorageBufferBindingSize, maxBufferSize } }), (late) => late.destroy());
     const context = canvas.getContext('webgpu');
     if (!context) throw new GraphicsError(texts.lacks.canvas);
     return new WebGpuRenderer(canvas, device, context);
