@@ -1,5 +1,6 @@
 #include <fmt/format.h>
 
+#include <cmath>
 #include <map>
 #include <nlohmann/json.hpp>
 #include <set>
@@ -52,6 +53,8 @@ Json service_of(const DeployProcess& process, const DeployOptions& options, cons
                {"init", true},
                {"restart", restart_of(process.restart)},
                {"stop_grace_period", "10s"}};
+  // A step of nice(2) is a factor of 1.25 of what a process gets of a processor that others want too.
+  if (process.nice > 0) service["cpu_shares"] = std::lround(1024 / std::pow(1.25, process.nice));
   if (remote) environment["SPLATBUS_SERVER_KEY"] = "${SPLATBUS_SERVER_KEY:?the bus's public key}";
   if (!environment.empty()) service["environment"] = environment;
   if (!process.after.empty()) {

@@ -120,6 +120,7 @@ DeployProcess containerised(const ProcessPlan& plan, const LaunchService& servic
   process.command = {is_ours ? plan.program.filename().string() : plan.program.string()};
   process.command.insert(process.command.end(), plan.arguments.begin(), plan.arguments.end());
   process.environment = plan.environment;
+  process.nice = plan.nice;
   process.restart = plan.restart;
   process.broker = plan.broker;
   const std::string program = plan.program.filename();

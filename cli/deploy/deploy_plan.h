@@ -25,6 +25,7 @@ struct DeployProcess {
   std::vector<std::string> after;    ///< names of processes
   std::vector<std::string> secrets;  ///< files of kSecretFolder that it reads
   std::vector<DeployPort> ports;
+  int nice = 0;
   RestartPolicy restart = RestartPolicy::OnFailure;
   bool broker = false, gateway = false, streamer = false, cuda = false, beats = true, has_world = false;
   double start_timeout_s = 30;

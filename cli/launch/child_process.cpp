@@ -4,10 +4,12 @@
 #include <fmt/format.h>
 #include <linux/close_range.h>
 #include <sys/prctl.h>
+#include <sys/resource.h>
 #include <sys/syscall.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <array>
 #include <cassert>
 #include <cerrno>
@@ -68,10 +70,12 @@ Pipe make_pipe(int flags) {
 }
 
 /// Runs in the child between fork and exec: async-signal-safe calls only.
-[[noreturn]] void become(char** argv, char** envp, int output, int failure, pid_t parent) {
+[[noreturn]] void become(char** argv, char** envp, int output, int failure, pid_t parent, int nice) {
   setpgid(0, 0);
   prctl(PR_SET_PDEATHSIG, SIGKILL);
   if (getppid() != parent) _exit(127);
+  // What asks for less may always have it.
+  if (nice > 0) setpriority(PRIO_PROCESS, 0, std::min(getpriority(PRIO_PROCESS, 0) + nice, 19));
   sigset_t none;
   sigemptyset(&none);
   sigprocmask(SIG_SETMASK, &none, nullptr);
@@ -102,7 +106,7 @@ std::string ExitStatus::text() const {
 }
 
 ChildProcess::ChildProcess(const std::filesystem::path& program, const std::vector<std::string>& arguments,
-                           const std::map<std::string, std::string>& environment) {
+                           const std::map<std::string, std::string>& environment, int nice) {
   std::vector<std::string> arg_strings{program.string()};
   arg_strings.insert(arg_strings.end(), arguments.begin(), arguments.end());
   std::vector<std::string> env_strings = merged_environment(environment);
@@ -116,7 +120,7 @@ ChildProcess::ChildProcess(const std::filesystem::path& program, const std::vect
   if (pid_ < 0) throw_cannot("start " + program.string(), errno);
   if (pid_ == 0) {
     become(const_cast<char**>(argv.data()), const_cast<char**>(envp.data()), output.write.get(), failure.write.get(),
-           parent);
+           parent, nice);
   }
   setpgid(pid_, pid_);
   output.write.reset();

@@ -36,9 +36,10 @@ class StartedTooSoon : public std::runtime_error {
 /// thread-safe; start it on a thread that lives as long as it shall.
 class ChildProcess {
  public:
-  /// Throws std::runtime_error that names the program when it cannot be started, StartedTooSoon where that may pass.
+  /// `nice`, 0 to 19, is added to ours (nice(2)). Throws std::runtime_error that names the program when it cannot be
+  /// started, StartedTooSoon where that may pass.
   ChildProcess(const std::filesystem::path& program, const std::vector<std::string>& arguments,
-               const std::map<std::string, std::string>& environment);
+               const std::map<std::string, std::string>& environment, int nice = 0);
   ~ChildProcess();
   ChildProcess(ChildProcess&&) noexcept = default;
   ChildProcess& operator=(ChildProcess&&) = delete;

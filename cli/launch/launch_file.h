@@ -76,6 +76,7 @@ struct LaunchService {
   std::map<std::string, std::string> environment;  ///< added to ours
   std::optional<Marked<std::string>> backend;      ///< cpu, cuda or auto, before the file's
   int replicas = 1;                                ///< more than 1: name-1, name-2, ...
+  int nice = 0;                                    ///< 0 to 19, as of nice(1)
   RestartRules restart;
   std::vector<Marked<std::string>> after;  ///< names of services that have to be ready first
   double heartbeat_timeout_s = 5;          ///< 0: sends none, and is ready as soon as it runs, or `readiness` says so

@@ -7,7 +7,7 @@ namespace splatbus::cli {
 
 namespace {
 
-constexpr int kMaxReplicas = 64;
+constexpr int kMaxReplicas = 64, kMostNice = 19;
 constexpr double kNoBound = 1e18;
 const std::vector<std::string> kBackends{"cpu", "cuda", "auto"};
 const std::vector<std::string> kPolicies{"always", "on-failure", "never"};
@@ -164,6 +164,9 @@ const std::vector<Key<LaunchService>>& service_keys() {
        }},
       count<Service>("replicas", &Service::replicas, "processes of it, NAME-1, NAME-2, ... (default 1)", 1,
                      kMaxReplicas),
+      count<Service>("nice", &Service::nice,
+                     "how far it stands back where others want the processor too, as of nice(1) (default 0)", 0,
+                     kMostNice),
       {{.name = "restart",
         .shape = Shape::Choice,
         .text = "when it is started again (default on-failure), or a map that also says how often",

@@ -106,6 +106,7 @@ ProcessPlan make_process(const LaunchService& service, const fs::path& program, 
   process.service = service.name;
   process.replica = replica;
   process.program = program;
+  process.nice = service.nice;
   process.restart = service.restart.policy;
   process.restart_attempts = service.restart.max_attempts;
   process.restart_window_s = service.restart.window_s;

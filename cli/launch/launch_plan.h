@@ -24,6 +24,7 @@ struct ProcessPlan {
   std::filesystem::path program;
   std::vector<std::string> arguments;
   std::map<std::string, std::string> environment;
+  int nice = 0;  ///< added to ours: what it leaves of the processor to others
   RestartPolicy restart = RestartPolicy::OnFailure;
   int restart_attempts = 8;      ///< ends in a row after which it has failed for good; 0: never
   double restart_window_s = 10;  ///< ready for longer than that: earlier ends are forgotten

@@ -147,7 +147,7 @@ void Supervisor::start_child(Life& life) {
   life.counters.clear();
   auto environment = life.plan.environment;
   environment.emplace("SPLATBUS_SUPERVISED", "1");
-  life.child.emplace(life.plan.program, life.plan.arguments, environment);
+  life.child.emplace(life.plan.program, life.plan.arguments, environment, life.plan.nice);
 }
 
 void Supervisor::check_signs_of_life() {

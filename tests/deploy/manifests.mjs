@@ -62,6 +62,7 @@ assert.equal(services.trainer.deploy.resources.reservations.devices[0].capabilit
 assert.equal(services.relight, undefined);
 assert.ok(volumes.run && volumes.world);
 assert.ok(services.trainer.command.includes("note=$$literal"));
+assert.equal(services.trainer.cpu_shares, 336, "as nice(1) weighs: 1024 / 1.25^5");
 
 const objects = parseAllDocuments(run("kubernetes", ...files[0])).map((document) => document.toJS());
 const find = (kind, name) => objects.find((object) => object.kind === kind && object.metadata.name === name);

@@ -3,11 +3,14 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <poll.h>
+#include <sys/resource.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <csignal>
 #include <stdexcept>
+#include <string>
 
 namespace splatbus::cli {
 namespace {
@@ -51,6 +54,13 @@ TEST(ChildProcess, EnvironmentIsAddedToOurs) {
   ChildProcess child = shell("echo $SPLATBUS_TEST_KEPT $SPLATBUS_TEST_OLD", {{"SPLATBUS_TEST_OLD", "new"}});
   wait_for_exit(child);
   EXPECT_THAT(child.read_lines(true), testing::ElementsAre("kept new"));
+}
+
+TEST(ChildProcess, StandsBackAsFarAsItIsToldTo) {
+  ChildProcess child("/bin/sh", {"-c", "nice"}, {}, 7);
+  wait_for_exit(child);
+  const int most = std::min(getpriority(PRIO_PROCESS, 0) + 7, 19);
+  EXPECT_THAT(child.read_lines(true), testing::ElementsAre(std::to_string(most)));
 }
 
 TEST(ChildProcess, ProgramThatIsNotThereIsNamed) {

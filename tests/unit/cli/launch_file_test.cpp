@@ -43,6 +43,7 @@ services:
     endpoint: tcp://127.0.0.1:5999
     backend: cpu
     replicas: 3
+    nice: 5
     restart: {policy: never, max_attempts: 3, window_s: 60, first_delay_s: 0.5, max_delay_s: 20}
     stop_timeout_s: 7
     readiness: {tcp: "127.0.0.1:5999", period_s: 0.5}
@@ -68,6 +69,8 @@ services:
   EXPECT_EQ(viewer.parameters.at("endpoint").value, "tcp://127.0.0.1:5999");
   EXPECT_EQ(viewer.parameters.at("size").mark.text(), "x.yaml:16:13");
   EXPECT_EQ(viewer.replicas, 3);
+  EXPECT_EQ(viewer.nice, 5);
+  EXPECT_EQ(engine.nice, 0);
   EXPECT_EQ(file.backend->value, "cuda");
   EXPECT_EQ(viewer.backend->value, "cpu");
   EXPECT_FALSE(engine.backend.has_value());
@@ -126,6 +129,7 @@ const BadCase kBadCases[] = {
      "x.yaml:4:13:", "'size' in parameters of service 'bus' must be a single value"},
     {"ArgsNoList", "services:\n  - name: bus\n    args: --x\n", "x.yaml:3:11:", "must be a list"},
     {"ReplicasText", "services:\n  - name: bus\n    replicas: many\n", "x.yaml:3:15:", "from 1 to 64, not 'many'"},
+    {"NiceBelowZero", "services:\n  - name: bus\n    nice: -1\n", "x.yaml:3:11:", "from 0 to 19, not '-1'"},
     {"ReplicasZero", "services:\n  - name: bus\n    replicas: 0\n", "x.yaml:3:15:", "from 1 to 64, not '0'"},
     {"RestartWord", "services:\n  - name: bus\n    restart: sometimes\n",
      "x.yaml:3:14:", "always, on-failure or never, not 'sometimes'"},

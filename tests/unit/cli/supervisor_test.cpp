@@ -4,6 +4,7 @@
 #include <sys/resource.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <csignal>
 #include <string>
 #include <vector>
@@ -71,6 +72,13 @@ TEST_F(SupervisorTest, ForgetsEarlierEndsAfterTenHealthySeconds) {
   pass(10.1);
   kill(status("a").pid, SIGKILL);
   EXPECT_TRUE(wait_for_line("a * killed by signal 9 (Killed); starting it again in 0.1 s", 2));
+}
+
+TEST_F(SupervisorTest, AProcessIsAsNiceAsItsEntrySays) {
+  ProcessPlan plan = shell("a", "nice; exec sleep 100");
+  plan.nice = 4;
+  launch({plan});
+  EXPECT_TRUE(wait_for_line("a | " + std::to_string(std::min(getpriority(PRIO_PROCESS, 0) + 4, 19))));
 }
 
 TEST_F(SupervisorTest, NeverMeansNever) {
