@@ -66,13 +66,14 @@ class SharingTest : public StreamerTest {
     return true;
   }
   /// The model moves all the time for so long.
-  void train(const std::vector<StreamClient*>& viewers, std::chrono::milliseconds time) {
+  void train(const std::vector<StreamClient*>& viewers, std::chrono::milliseconds time, float amount = 0.1F) {
+    std::normal_distribution<float> step(0, amount);
     const auto end = std::chrono::steady_clock::now() + time;
     auto next = std::chrono::steady_clock::now();
     ASSERT_TRUE(until(viewers, [&] {
       const auto now = std::chrono::steady_clock::now();
       if (now >= next) {
-        disturb(model_, random_);
+        for (float& value : model_.parameters) value += step(random_);
         trainer_.publish(model_);
         next = now + 50ms;
       }

@@ -27,10 +27,17 @@ TEST_F(SharingTest, OneWithoutViewersEncodesForThoseOfTheOther) {
   trainer_.publish(model_);
   const auto a = viewer_of(*one);
   ASSERT_TRUE(until({a.get()}, [&] { return shows_model(*a) && divided({kOne, kTwo}, *a); }));
-  train({a.get()}, 500ms);
+  // Small steps need no whole page, while the machine keeps up. What was given counts as held for a second.
+  bool followed = false;
+  for (int k = 0; k < 10 && !followed; ++k) {
+    const Said before = said_[kTwo];
+    train({a.get()}, 1500ms, 0.005F);
+    followed = said_[kTwo].answers == before.answers && said_[kTwo].deltas > before.deltas + 5;
+  }
+  EXPECT_TRUE(followed) << "by deltas of pages that nobody here holds, but somebody there";
+  train({a.get()}, 200ms);  // what moves by less than a step is left as it is
   ASSERT_TRUE(until({a.get()}, [&] { return shows_model(*a); }));
   EXPECT_GT(said_[kTwo].answers, 0U) << "pages that its viewer lacked";
-  EXPECT_GT(said_[kTwo].deltas, 5U) << "of pages that nobody here holds, but somebody there";
   EXPECT_EQ(a->refused(), 0U);
 }
 
