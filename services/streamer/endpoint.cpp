@@ -51,20 +51,6 @@ bus::FileDescriptor lock_beside(const std::string& path) {
 
 }  // namespace
 
-WirePacket::WirePacket(const stream::EncodedPacket& packet)
-    : body_(packet.body),
-      sequence_at_(stream::sequence_offset(packet.packet)),
-      packet_(packet.packet.data(), packet.packet.size()),
-      payload_(packet.payload.data(), packet.payload.size()) {}
-
-stream::EncodedPacket WirePacket::copy() const {
-  const auto bytes = bytes_of(packet_), payload = bytes_of(payload_);
-  return {.body = body_,
-          .sequence = 0,
-          .packet = {bytes.begin(), bytes.end()},
-          .payload = {payload.begin(), payload.end()}};
-}
-
 Endpoint::Endpoint(const std::vector<std::string>& endpoints, const EndpointOptions& options)
     : socket_(context_, zmq::socket_type::router), bound_(endpoints.size()) {
   socket_.set(zmq::sockopt::router_mandatory, true);

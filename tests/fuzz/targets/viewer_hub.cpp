@@ -32,12 +32,6 @@ Sockets& sockets() {
 
 namespace splatbus::streamer {
 
-WirePacket::WirePacket(const stream::EncodedPacket& packet)
-    : body_(packet.body),
-      sequence_at_(stream::sequence_offset(packet.packet)),
-      packet_(packet.packet.data(), packet.packet.size()),
-      payload_(packet.payload.data(), packet.payload.size()) {}
-
 Endpoint::Endpoint(const std::vector<std::string>&, const EndpointOptions&) {}
 
 Endpoint::Sent Endpoint::send(const Peer& peer, const WirePacket& packet, std::uint64_t) {
