@@ -109,9 +109,10 @@ Freezer::Page& Freezer::at(const model::PageStore& store, std::uint32_t page) {
   of = {.generation = generation,
         .frame_id = now.frame_id,
         .morton_first = now.morton_first,
+        .count = now.count,
         .frozen = frozen,
         .since_s = store.optimizer_s(),
-        .seen_s = store.optimizer_s(),
+        .seen_s = same_place && !thawed && now.count <= of.count ? of.seen_s : store.optimizer_s(),
         .loss_before = thawed ? of.loss_before : -1.0,
         .px_per_m = same_place ? of.px_per_m : 0.0F,
         .loss_at_freeze = frozen ? static_cast<double>(entry.loss) : 0.0,
@@ -148,6 +149,7 @@ void Freezer::see(const model::PageStore& store, std::span<const ViewLook> looks
       if (px_per_m < kAsNear * std::min(page.px_per_m, look.view->camera.fx / kNear_m)) {
         page.loss_from_afar += seen.error;
         page.looks_from_afar += 1;
+        if (light && page.frozen && !contains(page.settled_under, *light)) page.unsettled_from_afar += 1;
         page.afar_px_per_m = std::max(page.afar_px_per_m, px_per_m);
         continue;
       }
@@ -162,14 +164,22 @@ void Freezer::see(const model::PageStore& store, std::span<const ViewLook> looks
   }
 }
 
-bool Freezer::got_worse_from_afar(Page& page, const FreezeOptions& options) {
-  if (page.looks_from_afar < kLeastLooks) return false;
+std::optional<float> Freezer::learn_from_afar(Page& page, const FreezeOptions& options) {
+  if (page.looks_from_afar < kLeastLooks) return {};
   const double loss = page.loss_from_afar / page.looks_from_afar;
-  page.loss_from_afar = page.looks_from_afar = 0;
+  // Of what rests as it was nobody knows which lights it had settled under.
+  const bool relit = page.loss_at_freeze > 0 && 2 * page.unsettled_from_afar >= page.looks_from_afar;
+  const float px_per_m = std::exchange(page.afar_px_per_m, 0.0F);
+  page.loss_from_afar = page.looks_from_afar = page.unsettled_from_afar = 0;
   if (page.usual_from_afar < 0) page.usual_from_afar = loss;
-  if (loss > options.thaw_rise * page.usual_from_afar + kLeastError) return true;
-  page.usual_from_afar += kNewFromAfar * (loss - page.usual_from_afar);
-  return false;
+  const bool worse = loss > options.thaw_rise * page.usual_from_afar + kLeastError;
+  page.times_worse = worse ? page.times_worse + 1 : 0;
+  if (!worse) page.usual_from_afar += kNewFromAfar * (loss - page.usual_from_afar);
+  // What passes before a page spoils a picture of it, not two.
+  if (!relit && page.times_worse < 2) return {};
+  page.usual_from_afar = -1;
+  page.times_worse = 0;
+  return px_per_m;
 }
 
 Freezer::Change Freezer::decide(const model::PageStore& store, const FreezeOptions& options,
@@ -186,10 +196,8 @@ Freezer::Change Freezer::decide(const model::PageStore& store, const FreezeOptio
     Page& page = at(store, number);
     model::PageEntry& entry = store.table().entry(number);
     entry.movement = movements[r];
-    if (got_worse_from_afar(page, options)) {
-      // What it looks like has to be learned anew, from wherever it is seen.
-      page.px_per_m = std::exchange(page.afar_px_per_m, 0.0F);
-      page.usual_from_afar = -1;
+    if (const std::optional<float> px_per_m = learn_from_afar(page, options)) {
+      page.px_per_m = *px_per_m;
       page.seen_s = now_s;
       if (page.frozen) change.thaw.push_back(number);
       continue;
@@ -210,7 +218,7 @@ Freezer::Change Freezer::decide(const model::PageStore& store, const FreezeOptio
       const bool relit = 2 * page.unsettled_looks >= page.looks;
       if (nearer || worse || relit) change.thaw.push_back(number);
       // What it gains in the first window tells whether there was anything to gain.
-      page.loss_before = worse && !relit ? loss : -1;
+      page.loss_before = worse && !relit && !nearer ? loss : -1;
       page.lights_before = std::exchange(page.lights, {});
       page.loss = page.looks = page.unsettled_looks = 0;
       continue;

@@ -35,6 +35,7 @@ class Freezer {
     std::uint64_t generation = 0;  ///< of its structure, as it was last looked at
     std::uint32_t frame_id = 0;
     std::uint64_t morton_first = 0;
+    std::uint32_t count = 0;
     bool frozen = false;
     double since_s = 0, seen_s = 0;  ///< of optimizer time: that the window began; of the last look from near
     /// Sum over the looks of the window from near, and the mean of the one before; below 0: none.
@@ -45,16 +46,18 @@ class Freezer {
     double loss_at_freeze = 0;                 ///< below 0: nobody knows
     /// Looks from afar: sum since they were last judged, and what their mean has come to; below 0: nobody knows.
     double loss_from_afar = 0;
-    std::uint32_t looks_from_afar = 0;
+    std::uint32_t looks_from_afar = 0, unsettled_from_afar = 0;
     double usual_from_afar = -1;
-    float afar_px_per_m = 0;  ///< of the nearest of them
+    float afar_px_per_m = 0;        ///< of the nearest of the former
+    std::uint32_t times_worse = 0;  ///< in a row
     /// Lights that it was seen under in the window, in the one before, and that it had settled under when it froze.
     LightNumbers lights, lights_before, settled_under;
     std::uint32_t unsettled_looks = 0;  ///< since it froze, under none of the latter
   };
   Page& at(const model::PageStore& store, std::uint32_t page);
-  /// Whether views from afar show a page worse than they used to.
-  [[nodiscard]] static bool got_worse_from_afar(Page& page, const FreezeOptions& options);
+  /// Whether a page is to be learned anew from where only views from afar show it: nullopt, or with how many pixels a
+  /// metre.
+  [[nodiscard]] static std::optional<float> learn_from_afar(Page& page, const FreezeOptions& options);
   /// Number of the scene's light among the last ones that differ; nullopt for one that is older than all of them.
   [[nodiscard]] std::optional<std::uint64_t> number_of(const SceneState& scene);
 

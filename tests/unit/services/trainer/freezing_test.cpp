@@ -2,6 +2,7 @@
 #include "trainer/freezing.h"
 
 #include <algorithm>
+#include <cmath>
 
 #include "../../model/device_test.h"
 #include "optimizer_fixture.h"
@@ -135,6 +136,8 @@ TEST_F(FreezerTest, WhatIsSeenFromAfarAloneRestsAsItIs) {
   EXPECT_EQ(state(1), PageState::Frozen);
   // What its loss is from there says nothing of how well it is known.
   EXPECT_TRUE(second({-1, 0.12}, 8, 7).thaw.empty());
+  turn_sun(90);
+  EXPECT_TRUE(second({-1, 0.12}, 8, 7).thaw.empty()) << "nor what it had settled under";
   EXPECT_EQ(second({-1, 0.1}, 8, 3).thaw, std::vector{pages_[1]});
 }
 
@@ -142,11 +145,55 @@ TEST_F(FreezerTest, WhatLooksWorseFromAfarIsLearnedFromThere) {
   for (int s = 0; s < 6; ++s) (void)second({0.1, 0.1}, 8, 3);
   ASSERT_EQ(state(1), PageState::Frozen);
   for (int s = 0; s < 6; ++s) EXPECT_TRUE(second({0.1, 0.3}, 8, 8).thaw.empty()) << s;
+  EXPECT_TRUE(second({0.1, 0.5}, 8, 8).thaw.empty()) << "something passed before it";
+  for (int s = 0; s < 3; ++s) EXPECT_TRUE(second({0.1, 0.3}, 8, 8).thaw.empty()) << s;
+  (void)second({0.1, 0.5}, 8, 8);
   EXPECT_EQ(second({0.1, 0.5}, 8, 8).thaw, std::vector{pages_[1]});
   // Those views count now: it settles again with what they come to.
   for (int s = 0; s < 9; ++s) (void)second({0.1, 0.4}, 8, 8);
   EXPECT_EQ(state(1), PageState::Frozen);
   EXPECT_FLOAT_EQ(store().table().entry(pages_[1]).loss, 0.4F);
+}
+
+TEST_F(FreezerTest, WhatGetsWorseIsLearnedFromWhereItIsSeenNow) {
+  for (int s = 0; s < 6; ++s) (void)second({0.1, 0.1}, 8, 3);
+  ASSERT_EQ(state(1), PageState::Frozen);
+  for (int s = 0; s < 6; ++s) (void)second({0.1, 0.2}, 8, 8.0F + 8 * static_cast<float>(s));
+  for (int s = 0; s < 2; ++s) (void)second({0.1, 0.5}, 8, 48);
+  ASSERT_EQ(state(1), PageState::Active);
+  // For longer than what nobody sees from near trains.
+  for (int s = 0; s < 30; ++s) (void)second({0.1, 0.5 * std::pow(0.95, s)}, 8, 48);
+  EXPECT_EQ(state(1), PageState::Active);
+}
+
+TEST_F(FreezerTest, AnotherLightIsLearnedFromAfarToo) {
+  turn_sun(0);
+  for (int s = 0; s < 6; ++s) (void)second({0.1, 0.1}, 8, 3);
+  ASSERT_EQ(state(1), PageState::Frozen);
+  EXPECT_TRUE(second({-1, 0.1}, 8, 8).thaw.empty());
+  turn_sun(90);
+  EXPECT_EQ(second({-1, 0.1}, 8, 8).thaw, std::vector{pages_[1]});
+}
+
+TEST_F(FreezerTest, WhatIsSeenFromNearerHasTwoWindowsToLearn) {
+  for (int s = 0; s < 6; ++s) (void)second({0.1}, 8, 3);
+  ASSERT_EQ(second({0.2}, 8, 1.9F).thaw, std::vector{pages_[0]});
+  for (int s = 0; s < 5; ++s) (void)second({0.2}, 8, 1.9F);
+  EXPECT_EQ(state(0), PageState::Active);
+  for (int s = 0; s < 3; ++s) (void)second({0.2}, 8, 1.9F);
+  EXPECT_EQ(state(0), PageState::Frozen);
+}
+
+TEST_F(FreezerTest, WhatLosesAGaussianNowAndThenRestsUnseenAllTheSame) {
+  for (int s = 0; s < 3; ++s) (void)second({0.1, 0.2}, 8, 3);
+  const std::size_t index = std::size_t{pages_[1]} * kPageLanes;
+  for (int s = 0; s < 15; ++s) {
+    std::vector<std::uint8_t> dead(store().view().count, 0);
+    dead[index] = 1;
+    store().remove(dead.data());
+    (void)second({-1, 0.1}, 8, 7);
+  }
+  EXPECT_EQ(state(1), PageState::Frozen);
 }
 
 TEST_F(FreezerTest, WhoWalksAwaySeesNothingWorse) {
