@@ -14,6 +14,11 @@ namespace {
 constexpr std::size_t kMostWaiting = 32;
 constexpr std::int64_t kWaitNs = 500'000'000;  // for a version: its pixels stay for about a second
 
+bool has_picture(const wire::EngineFrame& frame) {
+  const auto* tensors = frame.header()->tensors();
+  return tensors != nullptr && tensors->size() > 0;
+}
+
 }  // namespace
 
 void CaptureBridge::handle_frame(const wire::EngineFrame& frame, const bus::Message& message) {
@@ -24,7 +29,7 @@ void CaptureBridge::handle_frame(const wire::EngineFrame& frame, const bus::Mess
     ++counters_.frames_lost;
     return;
   }
-  engines_.brought(source);
+  if (has_picture(frame)) engines_.brought(source, bus::now_ns());
   use_frame(frame, message);
 }
 
@@ -32,13 +37,12 @@ void CaptureBridge::follow_frame(const wire::EngineFrame& frame, const bus::Mess
   SceneState shows = from_wire(*frame.scene());
   if (options_->far_field) shows.objects.insert_or_assign(kFarFieldFrame, far_field());
   if (forwarder_.follow(shows)) {
-    engines_.brought(frame.header()->source()->str());
+    if (has_picture(frame)) engines_.brought(frame.header()->source()->str(), bus::now_ns());
     ++counters_.frames_followed;
     use_frame(frame, message);
     return;
   }
-  const auto* tensors = frame.header()->tensors();
-  if (tensors == nullptr || tensors->size() == 0) return;
+  if (!has_picture(frame)) return;
   // It may be ahead of the engine that leads.
   waiting_.push_back({.message = message,
                       .shows = std::move(shows),
@@ -56,7 +60,7 @@ void CaptureBridge::use_waiting_frames(std::int64_t now_ns) {
   std::erase_if(waiting_, [&](const WaitingFrame& waiting) {
     const auto& frame = waiting.message.root<wire::EngineFrame>();
     if (may_match && forwarder_.follow(waiting.shows)) {
-      engines_.brought(frame.header()->source()->str());
+      engines_.brought(frame.header()->source()->str(), now_ns);
       ++counters_.frames_followed;
       if (!bus::guarded(waiting.message, [&] { use_frame(frame, waiting.message); })) ++waiting_refused_;
       return true;
@@ -80,8 +84,7 @@ void CaptureBridge::drop_unmatched(const WaitingFrame& frame) {
 void CaptureBridge::use_frame(const wire::EngineFrame& frame, const bus::Message& message) {
   // It goes on: an object that comes and goes would have all references rendered anew each time.
   if (forwarder_.masks_objects()) rigs_.ask_for_ids();
-  const auto* tensors = frame.header()->tensors();
-  if (tensors == nullptr || tensors->size() == 0) return;  // what moved and nothing else
+  if (!has_picture(frame)) return;  // what moved and nothing else
   switch (frame.camera()->role()) {
     case wire::CameraRole::Input:
       handle_input(message, frame);

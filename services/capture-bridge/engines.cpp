@@ -3,6 +3,7 @@
 #include <spdlog/spdlog.h>
 
 #include <algorithm>
+#include <cmath>
 #include <iterator>
 
 #include "bus/frames.h"
@@ -11,6 +12,8 @@
 namespace splatbus::capture_bridge {
 
 namespace {
+
+constexpr double kLongestBetweenNs = 3.6e12;  // two pictures, however low a rate is
 
 /// The others belong to the lead's frames, or are wanted at once.
 bool is_divided(CameraRole role) {
@@ -37,7 +40,8 @@ void Engines::update(std::int64_t now_ns) {
                  bus::printable(engine.name), conduct.next_rest_ns / 1'000'000'000);
     conduct.rests_until_ns = now_ns + conduct.next_rest_ns;
     conduct.next_rest_ns = std::min(2 * conduct.next_rest_ns, kMostRestNs);
-    conduct.waits_since_ns.reset();
+    conduct.asked_ns.reset();
+    conduct.brought_ns.reset();
   }
   for (auto& [name, conduct] : conduct_) {
     if (!conduct.rests_until_ns || now_ns < *conduct.rests_until_ns) continue;
@@ -49,8 +53,14 @@ void Engines::update(std::int64_t now_ns) {
 
 bool Engines::idles(const Senior& engine, std::int64_t now_ns) const {
   const auto conduct = conduct_.find(engine.name);
-  return conduct != conduct_.end() && conduct->second.waits_since_ns &&
-         now_ns - *conduct->second.waits_since_ns > kPatienceNs;
+  if (conduct == conduct_.end()) return false;
+  const std::optional<std::int64_t> since_ns = conduct->second.waits_since_ns();
+  return since_ns && now_ns - *since_ns > kPatienceNs;
+}
+
+std::optional<std::int64_t> Engines::Conduct::waits_since_ns() const {
+  if (asked_ns || !brought_ns || !(rate_hz > 0)) return asked_ns;
+  return *brought_ns + std::llround(std::min(1e9 / static_cast<double>(rate_hz), kLongestBetweenNs));
 }
 
 void Engines::choose() {
@@ -72,10 +82,11 @@ void Engines::choose() {
   spdlog::info("engines that have the cameras, who leads first: {}", names.empty() ? "none" : names);
 }
 
-void Engines::brought(const std::string& source) {
+void Engines::brought(const std::string& source, std::int64_t now_ns) {
   const auto conduct = conduct_.find(source);
   if (conduct == conduct_.end()) return;
-  conduct->second.waits_since_ns.reset();
+  conduct->second.asked_ns.reset();
+  conduct->second.brought_ns = now_ns;
   conduct->second.next_rest_ns = kRestNs;
 }
 
@@ -89,15 +100,17 @@ std::map<std::string, std::vector<CameraRequest>> Engines::divide(const std::vec
     sets[engine.name];
     named_.insert(engine.name);
   }
+  for (auto& [name, conduct] : conduct_) conduct.rate_hz = 0;
   for (const CameraRequest& request : requests) {
     const auto share = shares_.find({request.camera.role, request.camera.id});
     if (share == shares_.end()) continue;  // there is no engine
     sets[share->second.engine].push_back(request);
     const bool anew = std::exchange(share->second.request_id, request.request_id) != request.request_id;
     // A light that casts no shadow just now has no depth maps, however often they are asked for.
-    if (!anew || request.camera.role == CameraRole::Light) continue;
-    auto& waits_since_ns = conduct_[share->second.engine].waits_since_ns;
-    if (!waits_since_ns) waits_since_ns = now_ns;
+    if (request.camera.role == CameraRole::Light) continue;
+    Conduct& conduct = conduct_[share->second.engine];
+    conduct.rate_hz = std::max(conduct.rate_hz, request.rate_hz);
+    if (anew && !conduct.asked_ns) conduct.asked_ns = now_ns;
   }
   return sets;
 }

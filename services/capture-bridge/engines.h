@@ -17,7 +17,9 @@ namespace splatbus::capture_bridge {
 /// what the scene is, and has what belongs to that frame by frame or is wanted at once: depth maps of lights, depth
 /// cubes and probes. Input and reference cameras are divided evenly and stay with their engine while it is in use. One
 /// that has been asked for something and brings nothing of use for kPatienceNs rests, and the others have its cameras;
-/// each time twice as long. Times are CLOCK_MONOTONIC nanoseconds. One thread.
+/// each time twice as long: no picture of what it was asked for anew, or after one none for as long and the time
+/// between two that its requests' highest rate names. Times are CLOCK_MONOTONIC nanoseconds, of one machine: seniority
+/// is. One thread.
 class Engines {
  public:
   /// Those of kind "engine" that run, as the broker sees it.
@@ -29,8 +31,8 @@ class Engines {
   [[nodiscard]] bool leads(const std::string& source) const {
     return in_use_.empty() || in_use_.front().name == source;
   }
-  /// Something of use has come from it.
-  void brought(const std::string& source);
+  /// A picture of use has come from it; what the scene is says nothing of its pictures.
+  void brought(const std::string& source, std::int64_t now_ns);
 
   /// Whether requests go to engines by name: since there have been two of them.
   [[nodiscard]] bool shared() const { return shared_; }
@@ -47,7 +49,12 @@ class Engines {
 
  private:
   struct Conduct {
-    std::optional<std::int64_t> waits_since_ns;  // for something that it was asked for
+    /// Since when, for a picture that is due.
+    [[nodiscard]] std::optional<std::int64_t> waits_since_ns() const;
+
+    std::optional<std::int64_t> asked_ns;    // anew, and has brought nothing since
+    std::optional<std::int64_t> brought_ns;  // last
+    float rate_hz = 0;                       // the highest of its requests; 0: each is for one picture
     std::optional<std::int64_t> rests_until_ns;
     std::int64_t next_rest_ns = kRestNs;
     std::uint64_t back_since_ns = 0;  // from its last rest; 0: it has had none

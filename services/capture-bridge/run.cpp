@@ -1,4 +1,3 @@
-#include <fmt/format.h>
 #include <spdlog/spdlog.h>
 
 #include <optional>
@@ -61,12 +60,11 @@ void run(bus::ServiceContext& service) {
   while (!service.stop.stop_requested()) {
     broker.dispatch_all(std::chrono::milliseconds(0));
     if (!lead.may_write(bus::now_ns())) {
-      const std::string& leader = lead.leader().name;
       if (bridge && !lead.is_first()) {
-        spdlog::info("{} leads: standing by", bus::printable(leader));
+        spdlog::info("{} leads: standing by", bus::printable(lead.leader().name));
         bridge.reset();
       }
-      service.detail(leader.empty() ? "waiting for the broker" : fmt::format("stands by: {} leads", leader));
+      service.detail(lead.why_not());
       broker.dispatch_all(kTurn);
       continue;
     }

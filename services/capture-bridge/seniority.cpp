@@ -12,6 +12,12 @@ bool is_incomplete(const wire::Liveness& liveness) {
   return header.publish_ns() - static_cast<std::int64_t>(header.epoch()) < kHeardByNs;
 }
 
+bool has_come_again(const wire::Liveness& liveness) {
+  return liveness.nodes() != nullptr && std::ranges::any_of(*liveness.nodes(), [&](const wire::Node* node) {
+           return node->alive() && node->epoch() < liveness.header()->epoch();
+         });
+}
+
 std::vector<Senior> running(const wire::Liveness& liveness, std::string_view kind) {
   std::vector<Senior> seniors;
   if (liveness.nodes() == nullptr) return seniors;

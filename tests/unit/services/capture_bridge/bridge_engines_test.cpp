@@ -41,6 +41,26 @@ class BridgeEnginesTest : public CaptureBridgeTest {
     return engine.requested(CameraRole::Reference) + engine.requested(CameraRole::Input);
   }
 
+  /// Until it rests: no picture of it comes any more, but its ticks go on, and equal the other's.
+  void minimise(FakeEngine& engine) {
+    start_both();
+    ASSERT_TRUE(until_both([&] { return versions().size() == 6; }));
+    engine.lose = [](const Camera&) { return true; };
+    float tick = 0;
+    auto next = std::chrono::steady_clock::now();
+    EXPECT_TRUE(until_both(
+        [&] {
+          if (std::chrono::steady_clock::now() >= next) {
+            next += 100ms;
+            engine_.objects[7] = other_.objects[7] = Rigid{.translation = {tick += 0.1F, 0, 0}};
+            engine_.submit_scene();
+            other_.submit_scene();
+          }
+          return bridge_->engines().resting() == 1;
+        },
+        20s));
+  }
+
   FakeEngine other_;
 };
 
@@ -153,6 +173,16 @@ TEST_F(BridgeEnginesTest, AnEngineThatGoesLeavesItsCamerasAndItsPlaceToTheOther)
   // The engine that leads now says what the scene is.
   EXPECT_GT(other_.requested(CameraRole::Light), 0U);
   for (const auto& [camera, version] : versions()) EXPECT_GT(version, before) << camera;
+}
+
+TEST_F(BridgeEnginesTest, AFollowerThatSaysWhatTheSceneIsAndBringsNoPicturesLosesItsCameras) {
+  minimise(other_);
+  EXPECT_TRUE(until_both([&] { return views(engine_) == 10; }));
+}
+
+TEST_F(BridgeEnginesTest, ALeadThatSaysWhatTheSceneIsAndBringsNoPicturesLosesItsPlace) {
+  minimise(engine_);
+  EXPECT_TRUE(until_both([&] { return views(other_) == 10; }));
 }
 
 TEST_F(BridgeEnginesTest, FramesOfTheOtherThatMakeNoSenseAreRefusedAndTooManyPushTheOldestOut) {

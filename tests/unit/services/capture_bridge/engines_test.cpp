@@ -135,7 +135,7 @@ TEST(Engines, OneThatBringsNothingRestsEachTimeLongerAndComesBackBehindTheOthers
     return names;
   };
   EXPECT_THAT(in_use(), ElementsAre("a", "b"));
-  engines.brought("b");
+  engines.brought("b", now_ns);
   now_ns += Engines::kPatienceNs;
   engines.update(now_ns);
   EXPECT_THAT(in_use(), ElementsAre("a", "b"));
@@ -146,20 +146,71 @@ TEST(Engines, OneThatBringsNothingRestsEachTimeLongerAndComesBackBehindTheOthers
   EXPECT_THAT(in_use(), ElementsAre("b"));
   hear(engines, {{"a", 1}, {"b", 2}});
   EXPECT_EQ(engines.resting(), 1U);  // that it is heard is no reason
-  engines.brought("b");
+  engines.brought("b", now_ns);
   now_ns += Engines::kRestNs;
   engines.update(now_ns - 1);
   EXPECT_EQ(engines.resting(), 1U);
   engines.update(now_ns);
   EXPECT_THAT(in_use(), ElementsAre("a", "b"));
   EXPECT_TRUE(engines.leads("b"));
-  engines.brought("b");
+  engines.brought("b", now_ns);
   now_ns += Engines::kPatienceNs + 1;
   engines.update(now_ns);
   EXPECT_EQ(engines.resting(), 1U);
   engines.update(now_ns + Engines::kRestNs);
   EXPECT_EQ(engines.resting(), 1U);
   engines.update(now_ns + 2 * Engines::kRestNs);
+  EXPECT_EQ(engines.resting(), 0U);
+}
+
+TEST(Engines, OneThatStopsAmidPicturesThatComeAtARateRests) {
+  std::vector<CameraRequest> requests;
+  add(requests, CameraRole::Reference, 4);
+  for (CameraRequest& request : requests) request.rate_hz = request.camera.id < 2 ? 0.5F : 0.1F;
+  Engines engines;
+  hear(engines, {{"a", 1}, {"b", 2}});
+  std::int64_t now_ns = kSecond;
+  static_cast<void>(engines.divide(requests, now_ns));
+  engines.brought("a", now_ns);
+  engines.brought("b", now_ns);
+  const std::int64_t due_ns = now_ns + 2 * kSecond + Engines::kPatienceNs;
+  engines.brought("a", due_ns);
+  engines.update(due_ns);
+  EXPECT_EQ(engines.resting(), 0U);
+  engines.update(due_ns + 1);
+  EXPECT_EQ(engines.resting(), 1U);
+  EXPECT_TRUE(engines.leads("a"));
+}
+
+TEST(Engines, WhoHasBroughtAllThatItWasAskedForMayRestItsHands) {
+  std::vector<CameraRequest> requests;
+  add(requests, CameraRole::Reference, 4);
+  for (CameraRequest& request : requests) request.rate_hz = 1;
+  Engines engines;
+  hear(engines, {{"a", 1}, {"b", 2}});
+  static_cast<void>(engines.divide(requests, kSecond));
+  engines.brought("a", kSecond);
+  engines.brought("b", kSecond);
+  // From now on each is for one picture.
+  for (CameraRequest& request : requests) {
+    request.rate_hz = 0;
+    request.request_id += 100;
+  }
+  static_cast<void>(engines.divide(requests, 2 * kSecond));
+  engines.brought("a", 3 * kSecond);
+  engines.brought("b", 3 * kSecond);
+  engines.update(50 * kSecond);
+  engines.brought("a", 50 * kSecond);
+  engines.update(60 * kSecond);
+  EXPECT_EQ(engines.resting(), 0U);
+  // At a rate again, it has as long as at first.
+  for (CameraRequest& request : requests) {
+    request.rate_hz = 10;
+    request.request_id += 100;
+  }
+  static_cast<void>(engines.divide(requests, 60 * kSecond));
+  engines.brought("a", 60 * kSecond);
+  engines.update(60 * kSecond + 1);
   EXPECT_EQ(engines.resting(), 0U);
 }
 
@@ -171,8 +222,8 @@ TEST(Engines, WhereNobodyBringsAnythingNobodyRestsNorForALightThatHasNoMaps) {
   EXPECT_EQ(engines.divide(requests, kSecond).size(), 2U);
   engines.update(60 * kSecond);
   EXPECT_EQ(engines.resting(), 0U);
-  engines.brought("a");
-  engines.brought("b");
+  engines.brought("a", 60 * kSecond);
+  engines.brought("b", 60 * kSecond);
   add(requests, CameraRole::Light, 1);
   EXPECT_EQ(engines.divide(requests, 60 * kSecond).size(), 2U);
   engines.update(120 * kSecond);

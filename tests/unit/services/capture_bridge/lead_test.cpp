@@ -32,12 +32,49 @@ TEST(Lead, OneAloneWritesAsSoonAsTheBrokerHearsIt) {
 
 TEST(Lead, ABrokerThatWasStartedAgainTakesNobodysPlaceAwayBeforeItHasHeardAll) {
   Lead lead({.since_ns = 5, .name = "a"});
-  hear(lead, {bridge("a", 5), bridge("b", 6)}, kMs, 500 * kMs);  // the first word of all counts
+  hear(lead, {bridge("a", 5), bridge("b", 6)}, kMs);
   EXPECT_TRUE(lead.may_write(kMs + Lead::kHandoverNs));
   hear(lead, {bridge("b", 6)}, 300 * kMs, 999 * kMs);
   EXPECT_TRUE(lead.may_write(300 * kMs));
   hear(lead, {bridge("b", 6)}, 301 * kMs, 1000 * kMs);
   EXPECT_FALSE(lead.may_write(301 * kMs));
+}
+
+TEST(Lead, WhoIsStartedTogetherWithTheBrokerWaitsForThoseWhoOutlivedBoth) {
+  // The broker has been there since 500 ms, and an engine for longer: "b" leads, and has not been heard yet.
+  Lead lead({.since_ns = 600 * kMs, .name = "a"});
+  const Node engine{.name = "engine", .epoch = 3};
+  hear(lead, {bridge("a", 600 * kMs), engine}, 700 * kMs, 200 * kMs);
+  EXPECT_FALSE(lead.may_write(700 * kMs));
+  EXPECT_EQ(lead.why_not(), "waiting for the broker");
+  hear(lead, {bridge("a", 600 * kMs), bridge("b", 4), engine}, 900 * kMs, 400 * kMs);
+  EXPECT_FALSE(lead.may_write(900 * kMs));
+  hear(lead, {bridge("a", 600 * kMs), bridge("b", 4), engine}, 1500 * kMs, 1000 * kMs);
+  EXPECT_FALSE(lead.may_write(1500 * kMs + 2 * Lead::kHandoverNs));
+  EXPECT_EQ(lead.leader().name, "b");
+  // One that outlived the broker itself may have done so beside another.
+  Lead outlived({.since_ns = 5, .name = "a"});
+  hear(outlived, {bridge("a", 5)}, 700 * kMs, 200 * kMs);
+  EXPECT_FALSE(outlived.may_write(700 * kMs));
+  hear(outlived, {bridge("a", 5)}, 1500 * kMs, 1000 * kMs);
+  EXPECT_TRUE(outlived.may_write(1500 * kMs));
+}
+
+TEST(Lead, OneAloneAtTheStartOfEverythingWaitsForNobody) {
+  Lead lead({.since_ns = 600 * kMs, .name = "a"});
+  const Node dead{.name = "viewer", .epoch = 3, .alive = false};
+  hear(lead, {bridge("a", 600 * kMs), {.name = "engine", .epoch = 550 * kMs}, dead}, 700 * kMs, 200 * kMs);
+  EXPECT_TRUE(lead.may_write(700 * kMs));
+}
+
+TEST(Lead, SaysWhoLeadsAndNeverThatItWaitsForItself) {
+  Lead lead({.since_ns = 5, .name = "a"});
+  EXPECT_EQ(lead.why_not(), "waiting for the broker");
+  hear(lead, {bridge("a", 5), bridge("b", 4)}, kMs);
+  EXPECT_EQ(lead.why_not(), "stands by: b leads");
+  hear(lead, {bridge("a", 5)}, 2 * kMs);
+  EXPECT_FALSE(lead.may_write(2 * kMs));
+  EXPECT_EQ(lead.why_not(), "about to write: waiting until the broker has told everybody");
 }
 
 TEST(Lead, WhatTheBrokerStillSaysOfAProcessBeforeOfItsNameIsNotItsOwn) {
