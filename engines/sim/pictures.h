@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "sdk/splatbus_engine.h"
 #include "sim/readback.h"
 
 namespace splatbus::sim {
@@ -15,6 +16,9 @@ struct Pictures {
   std::vector<float> depth, light_depth;      ///< [h, w]
   std::vector<std::uint32_t> object_id;       ///< [h, w]
 };
+
+/// Those that are not empty, as the SDK takes them: `pictures` outlive them.
+[[nodiscard]] std::vector<splatbus_image> images_of(const Pictures& pictures);
 
 /// Takes pictures into the host's memory.
 class HostReadback final : public Readback {
