@@ -29,6 +29,16 @@ bool differs(int visibility, int held) {
   return all_or_none ? visibility != held : std::abs(visibility - held) > StreamModel::kMaxVisibilityError;
 }
 
+/// With all its fields: another streamer that sends it on writes the scene's version anew.
+auto create_visibility(flatbuffers::FlatBufferBuilder& builder, std::uint64_t version, std::uint32_t light,
+                       const std::vector<wire::SeenPage>& pages, std::uint32_t count, std::uint32_t raw_bytes) {
+  const auto pages_at = builder.CreateVectorOfStructs(pages);
+  builder.ForceDefaults(true);
+  const auto visibility = wire::CreateLightVisibility(builder, version, light, pages_at, count, raw_bytes);
+  builder.ForceDefaults(false);
+  return visibility;
+}
+
 float luminance(const glm::vec3& light) {
   return 0.2126F * light.x + 0.7152F * light.y + 0.0722F * light.z;
 }
@@ -169,9 +179,8 @@ VisibilityPacket StreamModel::write_visibility(const LightChange& light) const {
   out.packet = brief_writer_.write(
       held_.epoch, 0, wire::Body::LightVisibility,
       [&](auto& builder) {
-        const auto pages_at = builder.CreateVectorOfStructs(out.pages);
-        return wire::CreateLightVisibility(builder, held_.visibility_version, light.light_id, pages_at,
-                                           static_cast<std::uint32_t>(change.slots.size()), payload.raw_bytes);
+        return create_visibility(builder, held_.visibility_version, light.light_id, out.pages,
+                                 static_cast<std::uint32_t>(change.slots.size()), payload.raw_bytes);
       },
       std::move(payload.bytes));
   return out;
@@ -237,9 +246,7 @@ std::vector<EncodedPacket> StreamModel::page_visibility(std::uint32_t number) co
     out.push_back(brief_writer_.write(
         held_.epoch, 0, wire::Body::LightVisibility,
         [&](auto& builder) {
-          const auto pages_at = builder.CreateVectorOfStructs(pages);
-          return wire::CreateLightVisibility(builder, held_.visibility_version, id, pages_at, page->count,
-                                             payload.raw_bytes);
+          return create_visibility(builder, held_.visibility_version, id, pages, page->count, payload.raw_bytes);
         },
         std::move(payload.bytes)));
   };

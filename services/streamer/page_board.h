@@ -76,7 +76,7 @@ class PageBoard {
     return model_.manifest_packets(pages, gone, whole, gaussians_);
   }
 
-  /// Another replica's answer; what has become older than what is offered is not taken.
+  /// Another replica's answer; what nobody here wanted, or has become older than what is offered, is not taken.
   void take(ShareAnswer answer);
   /// What to ask others for now: of each at most every kAskNs, while somebody needs it.
   [[nodiscard]] std::vector<ShareWant> take_wants(std::int64_t now_ns);
@@ -89,6 +89,8 @@ class PageBoard {
 
  private:
   void offer_others(BoardPages& pages);
+  /// Visibility of a page whose lanes have not become others since.
+  [[nodiscard]] bool is_of_now(const ShareAnswer& seen) const;
   void need(const ShareWant& want) { wanted_[want].needed = true; }
   void learn_bytes(std::uint32_t page, std::size_t bytes);
 

@@ -25,6 +25,11 @@ void PageBoard::offer_others(BoardPages& pages) {
   std::erase_if(wanted_, [&](const auto& entry) { return !is_of_others(entry.first.page); });
 }
 
+bool PageBoard::is_of_now(const ShareAnswer& seen) const {
+  const stream::OfferedPage* offered = find(seen.what.page);
+  return offered && seen.structure >= offered->structure;
+}
+
 bool PageBoard::is_of_others(std::uint32_t page) const {
   return std::ranges::binary_search(of_others_, page);
 }
@@ -33,7 +38,7 @@ std::vector<SharedPacket> PageBoard::page_visibility(std::uint32_t page) {
   std::vector<stream::EncodedPacket> packets;
   if (!is_of_others(page)) {
     packets = model_.page_visibility(page);
-  } else if (const auto seen = seen_.find(page); seen != seen_.end()) {
+  } else if (const auto seen = seen_.find(page); seen != seen_.end() && is_of_now(seen->second)) {
     packets = seen->second.packets;
   } else {
     need({page, wire::SharePart::Visibility});
@@ -48,7 +53,7 @@ std::vector<SharedPacket> PageBoard::page_visibility(std::uint32_t page) {
 
 void PageBoard::take(ShareAnswer answer) {
   const stream::OfferedPage* offered = find(answer.what.page);
-  if (!offered || !is_of_others(answer.what.page)) return;
+  if (!offered || !is_of_others(answer.what.page) || !wanted_.contains(answer.what)) return;
   if (answer.what.part == wire::SharePart::Visibility) {
     if (answer.structure < offered->structure) return;
     wanted_.erase(answer.what);

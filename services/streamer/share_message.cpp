@@ -39,6 +39,17 @@ bool has_sequence(const wire::Packet& packet) {
   return reinterpret_cast<const flatbuffers::Table*>(packet.header())->CheckField(wire::Header::VT_SEQUENCE);
 }
 
+/// The same for the scene's version, which is written anew.
+bool has_scene_version(const wire::LightVisibility& visibility) {
+  return reinterpret_cast<const flatbuffers::Table*>(&visibility)->CheckField(wire::LightVisibility::VT_SCENE_VERSION);
+}
+
+/// Whether stream::mean_step_for() can say so.
+bool is_mean_step(float step) {
+  int exponent = 0;
+  return step >= 0x1p-20F && step <= 1 && std::frexp(step, &exponent) == 0.5F;
+}
+
 std::vector<stream::OfferedPage> read_pages(const wire::StreamShare& body) {
   std::vector<stream::OfferedPage> pages;
   const std::size_t count = body.pages() ? body.pages()->size() : 0;
@@ -175,6 +186,9 @@ void read_packets(const wire::StreamShare& body, ShareMessage& message) {
                                  .packet = {bytes.begin(), bytes.end()},
                                  .payload = {payload.begin(), payload.end()}};
     const wire::Packet& root = parsed.root();
+    if (const auto* seen = root.body_as_LightVisibility(); seen && !has_scene_version(*seen)) {
+      refuse("visibility without a scene's version to write");
+    }
     if (const auto* delta = root.body_as_PageDelta()) {
       message.deltas.push_back(read_delta(*delta, *wired, std::move(packet), body.version()));
     } else if (const auto* page = root.body_as_Page()) {
@@ -196,7 +210,8 @@ ShareMessage read_share(const wire::StreamShare& body) {
   ShareMessage message;
   const bool transfer = body.appearance() == wire::Appearance::Transfer;
   if (body.appearance() > wire::Appearance::MAX || body.sh_degree() > 3) refuse("a layout that is none");
-  if (body.stream_epoch() != 0 && !(body.mean_step() > 0 && body.mean_step() <= 1)) refuse("no step of means");
+  if (body.stream_epoch() != 0 && !is_mean_step(body.mean_step())) refuse("no step of means");
+  if (body.version() >= kVersionBlocks * kVersionBlock) refuse(fmt::format("version {}", body.version()));
   message.place = {.epoch = body.stream_epoch(),
                    .layout = stream::StreamLayout({.appearance = transfer ? Appearance::Transfer : Appearance::Radiance,
                                                    .sh_degree = body.sh_degree()},

@@ -53,6 +53,8 @@ struct ShareMessage {
   std::vector<ShareWant> wants;
 };
 
+/// Versions that one replica may have used without being heard, and how many such blocks a stream has.
+inline constexpr std::uint32_t kVersionBlock = 1U << 18U, kVersionBlocks = 0xFFFFFFFFU / kVersionBlock;
 inline constexpr std::size_t kMaxShareWants = 256;                              ///< in one message
 inline constexpr std::size_t kMaxSharePages = 2 * stream::kMaxGaussians / 256;  ///< as many as a viewer has blocks for
 

@@ -15,7 +15,6 @@ namespace {
 constexpr std::int64_t kHearOthersNs = 2'000'000'000;  // after the start
 constexpr std::int64_t kGivenNs = 1'000'000'000;       // until who was given a page says that viewers hold it
 constexpr std::size_t kCameras = 4;                    // of a tick
-constexpr std::uint32_t kMostBlocks = 0xFFFFFFFFU / Sharing::kVersionBlock;
 
 }  // namespace
 
@@ -31,13 +30,25 @@ Sharing::Sharing(std::string own, const bus::Publisher& publisher, stream::Strea
 
 void Sharing::take(const wire::Liveness& liveness) {
   if (liveness.nodes() == nullptr) return;
+  std::set<std::string> living;
   for (const auto* node : *liveness.nodes()) {
+    const bool alive =
+        node->alive() && node->state() != wire::ServiceState::Stopping && node->service()->string_view() == "streamer";
+    if (alive) living.insert(node->source()->str());
     // Of one that the broker has not heard of yet it says nothing.
     const auto peer = peers_.find(node->source()->str());
     if (peer == peers_.end()) continue;
-    peer->second.alive =
-        node->alive() && node->state() != wire::ServiceState::Stopping && node->service()->string_view() == "streamer";
+    const bool same = node->epoch() == peer->second.incarnation;
+    if (alive && node->epoch() > peer->second.incarnation) {
+      heard(peer->first, node->epoch());
+    } else if (same || node->epoch() == 0) {
+      peer->second.alive = alive;
+    }
   }
+  std::erase_if(known_, [&](const std::string& source) {
+    const auto peer = peers_.find(source);
+    return !living.contains(source) && (peer == peers_.end() || !peer->second.alive);
+  });
 }
 
 bool Sharing::same_stream(const ShareMessage::Place& a, const ShareMessage::Place& b) {
@@ -50,13 +61,14 @@ ShareMessage::Place Sharing::place() const {
   return {.epoch = status.epoch,
           .layout = status.layout,
           .mean_step = status.mean_step,
-          .version = status.version,
+          .version = std::max(status.version, newest_of_ == status.epoch ? newest_ : 0),
           .encodes = !draining_};
 }
 
 bool Sharing::may_begin(std::int64_t now_ns) {
   if (started_ns_ == 0) started_ns_ = now_ns;
-  const bool hears = !peers_.empty() || !others_.others_serve(own_);
+  const bool tell = std::ranges::all_of(peers_, [](const auto& entry) { return entry.second.told; });
+  const bool hears = peers_.empty() ? !others_.others_serve(own_) : tell;
   return place_.epoch != 0 || hears || now_ns - started_ns_ > kHearOthersNs;
 }
 
@@ -72,7 +84,7 @@ void Sharing::forget_silent(std::int64_t now_ns) {
 const Sharing::Peer* Sharing::to_join() const {
   const Peer* lowest = nullptr;
   for (const auto& [source, peer] : peers_) {
-    if (!peer.alive || peer.place.epoch == 0) continue;
+    if (!peer.alive || !peer.place.encodes || !peer.told || is_spent(peer.place)) continue;
     if (place_.epoch != 0 && peer.place.layout != place_.layout) continue;  // one of the two has not seen the newest
     if (lowest == nullptr || peer.place.epoch < lowest->place.epoch) lowest = &peer;
   }
@@ -80,15 +92,23 @@ const Sharing::Peer* Sharing::to_join() const {
   return lowest;
 }
 
-// Above all that anybody has said, and by a block more than anybody can have used without being heard. Replicas that
-// each take the other for dead use blocks of their own.
+bool Sharing::is_spent(const ShareMessage::Place& place) {
+  return place.version / kVersionBlock + 2 + kMaxPeers + 1 >= kVersionBlocks;
+}
+
+// Above all that anybody has said in that stream, and by a block more than anybody can have used without being heard.
+// Replicas that each take the others for dead use blocks of their own: as many as there are names take turns.
 std::uint32_t Sharing::version_floor() const {
-  std::uint32_t newest = std::max(newest_, model_.status().version), before = 0;
+  const stream::StreamModel::Status status = model_.status();
+  std::uint32_t newest = std::max(newest_of_ == goal_.epoch ? newest_ : 0,  //
+                                  status.epoch == goal_.epoch ? status.version : 0);
   for (const auto& [source, peer] : peers_) {
     if (same_stream(peer.place, goal_)) newest = std::max(newest, peer.place.version);
-    before += source < own_ ? 1 : 0;
   }
-  return std::min(newest / kVersionBlock + 2 + before, kMostBlocks) * kVersionBlock;
+  const auto before = static_cast<std::uint32_t>(
+      std::ranges::count_if(known_, [this](const std::string& source) { return source < own_; }));
+  const auto turns = static_cast<std::uint32_t>(known_.size() + 1), block = newest / kVersionBlock + 2;
+  return std::min(block + (before + turns - block % turns) % turns, kVersionBlocks - 1) * kVersionBlock;
 }
 
 /// True when somebody is gone, whose pages others have now.
@@ -128,6 +148,8 @@ bool Sharing::leave_pages(EncodedPages& pages) const {
 TickShare Sharing::begin_tick(std::int64_t now_ns) {
   forget_silent(now_ns);
   TickShare share;
+  if (is_spent(place())) model_.release();
+  if (!model_.status().ready) place_ = {};  // what begins anew joins those that there are
   const Peer* const joined = to_join();
   goal_ = joined ? joined->place : place_;
   if (joined) {

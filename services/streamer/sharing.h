@@ -78,17 +78,19 @@ class Sharing {
 
   [[nodiscard]] std::size_t replicas() const { return division_.sources().size(); }
 
-  static constexpr std::size_t kMaxPeers = 16;
+  static constexpr std::size_t kMaxPeers = 64;
   static constexpr std::int64_t kSilentNs = 3'000'000'000;  ///< then a peer is gone
-  /// Versions that one replica may have used without being heard.
-  static constexpr std::uint32_t kVersionBlock = 1U << 18U;
 
  private:
   struct Peer {
+    std::uint64_t incarnation = 0;  ///< its process's epoch
+    ShareMessage::Place before;     ///< of the one before it under this name: it offers nothing that may be that one's
     ShareMessage::Place place;
     ShareMessage::Viewers viewers;
     std::vector<stream::OfferedPage> pages;
-    bool alive = true;  ///< as the broker sees it
+    bool told = false;    ///< its pages
+    bool reuses = false;  ///< versions of the one before, for some of them
+    bool alive = true;    ///< as the broker sees it
     bool ticked = false;
     std::int64_t heard_ns = 0;
     bus::TokenBucket answers{1000, 1000};
@@ -103,9 +105,14 @@ class Sharing {
   [[nodiscard]] bool encodes(const Peer& peer) const {
     return peer.alive && peer.place.encodes && same_stream(peer.place, goal_);
   }
+  /// A name's process that others have not heard of begins with nothing of the one before.
+  Peer& heard(const std::string& source, std::uint64_t incarnation);
+  static void leave_out_before(Peer& peer, ShareMessage& message);
   void forget_silent(std::int64_t now_ns);
   [[nodiscard]] const Peer* to_join() const;
   [[nodiscard]] std::uint32_t version_floor() const;
+  /// Whether versions run out there.
+  [[nodiscard]] static bool is_spent(const ShareMessage::Place& place);
   [[nodiscard]] bool divide();
   [[nodiscard]] bool leave_pages(EncodedPages& pages) const;
   void take_deltas(std::vector<stream::DeltaPacket> deltas, std::int64_t now_ns);
@@ -129,7 +136,9 @@ class Sharing {
   stream::StreamUpdate pending_;
   std::optional<std::int64_t> pending_since_ns_;
   bool ticked_ = false, draining_ = false;
-  std::uint32_t newest_ = 0;                        ///< version that anybody in this stream has said
+  std::uint32_t newest_ = 0;                        ///< version that anybody has said in the stream newest_of_
+  std::uint64_t newest_of_ = 0;                     ///< its epoch
+  std::set<std::string> known_;                     ///< others, also those that are silent but not known to be dead
   std::map<std::uint32_t, std::int64_t> given_ns_;  ///< pages that others were given, and when
   std::shared_ptr<const std::vector<stream::OfferedPage>> told_;
   std::int64_t told_ns_ = 0, started_ns_ = 0, published_ns_ = 0;

@@ -28,11 +28,18 @@ void Sharing::take(const wire::StreamShare& body, std::int64_t now_ns) {
   const std::string source = body.header()->source()->str();
   if (source == own_ || (!peers_.contains(source) && peers_.size() >= kMaxPeers)) return;
   ShareMessage message = read_share(body);
-  Peer& peer = peers_[source];
+  Peer& peer = heard(source, body.header()->epoch());
+  leave_out_before(peer, message);
   peer.heard_ns = now_ns;
-  peer.place = message.place;
+  if (std::exchange(peer.place, message.place).epoch != message.place.epoch) {
+    peer.pages.clear();
+    peer.told = false;
+  }
   if (message.viewers) peer.viewers = std::move(*message.viewers);
-  if (message.pages) peer.pages = std::move(*message.pages);
+  if (message.pages) {
+    peer.pages = std::move(*message.pages);
+    peer.told = true;
+  }
   if (!in_stream(peer)) return;
   newest_ = std::max(newest_, peer.place.version);
   take_deltas(std::move(message.deltas), now_ns);
@@ -43,6 +50,29 @@ void Sharing::take(const wire::StreamShare& body, std::int64_t now_ns) {
   if (!message.visibility.empty()) hub_.add_others_visibility(std::move(message.visibility), scene_);
   for (ShareAnswer& answer : message.answers) hub_.take(std::move(answer));
   answer(peer, message.wants, now_ns);
+}
+
+Sharing::Peer& Sharing::heard(const std::string& source, std::uint64_t incarnation) {
+  Peer& peer = peers_[source];
+  if (known_.size() < kMaxPeers) known_.insert(source);
+  if (peer.incarnation == incarnation) return peer;
+  const ShareMessage::Place before = peer.place.epoch != 0 ? peer.place : peer.before;
+  const std::int64_t heard_ns = peer.heard_ns;
+  peer = {};
+  peer.incarnation = incarnation;
+  peer.before = before;
+  peer.heard_ns = heard_ns;
+  return peer;
+}
+
+// What it offers at a version that the one before it may have used may be other Gaussians under that one's name. While
+// it does it has no share: it sees others encode those pages, and begins them anew above that.
+void Sharing::leave_out_before(Peer& peer, ShareMessage& message) {
+  const std::uint32_t before = same_stream(message.place, peer.before) ? peer.before.version : 0;
+  const auto is_before = [&](const auto& offered) { return offered.version <= before; };
+  if (message.pages) peer.reuses = std::erase_if(*message.pages, is_before) > 0;
+  message.place.encodes = message.place.encodes && !peer.reuses;
+  for (stream::DeltaPacket& delta : message.deltas) std::erase_if(delta.steps, is_before);
 }
 
 // Of pages that are encoded here nobody else says anything: no viewer is sent a packet for that.
@@ -96,9 +126,16 @@ void Sharing::end_tick(stream::StreamUpdate update, std::int64_t now_ns) {
 }
 
 void Sharing::restart(std::int64_t now_ns) {
+  const std::uint64_t epoch = model_.status().epoch;
+  if (epoch != std::exchange(newest_of_, epoch)) newest_ = 0;
+  place_ = place();
+  for (const auto& [source, peer] : peers_) {
+    if (in_stream(peer)) newest_ = std::max(newest_, peer.place.version);
+  }
   place_ = place();
   pending_ = {};
   pending_since_ns_.reset();
+  told_.reset();
   if (publishes()) publish_tick(pending_.deltas, now_ns);
 }
 

@@ -160,7 +160,12 @@ bool ViewerFeed::begin_item(stream::StreamModel& model, PageBoard& board, const 
     return true;
   }
   if (item.visibility) {
-    if (!held_.contains(item.page)) return false;
+    const auto seeing = held_.find(item.page);
+    if (seeing == held_.end()) return false;
+    if (model.status().layout.appearance != Appearance::Transfer) {
+      seeing->second.seen_stale = false;  // there is nothing to be seen, here or at another replica
+      return false;
+    }
     for (SharedPacket& packet : board.page_visibility(item.page)) page_visibility_.push_back(std::move(packet));
     visibility_page_ = item.page;
     if (page_visibility_.empty() && board.is_of_others(item.page)) plan_is_all_ = false;

@@ -137,6 +137,14 @@ TEST_F(ShareMessages, PacketsOfAnotherStreamOrKindAreRefused) {
   refused("another epoch", [](auto& said) { ++said.place.epoch; });
   refused("a layout", [&](auto& said) { said.answers[0].packets = {server_.stream.layout_packet()}; });
   refused("no packet", [](auto& said) { said.answers[0].packets[0].packet.resize(20); });
+  refused("no version of the scene", [](auto& said) {
+    const auto pages = std::vector<wire::SeenPage>{};
+    auto packet =
+        stream::PacketWriter("streamer", 1).write(said.place.epoch, 0, wire::Body::LightVisibility, [&](auto& builder) {
+          return wire::CreateLightVisibilityDirect(builder, 0, 0, &pages);
+        });
+    said.visibility.push_back({std::move(packet), {}});
+  });
   refused("no number", [](auto& said) {
     // As PacketWriter writes, but for the place of the number.
     flatbuffers::FlatBufferBuilder builder;
@@ -205,7 +213,10 @@ TEST_F(ShareMessages, WhatIsBeyondAllBoundsIsRefused) {
   refused("a camera", [](auto& said) { said.viewers->cameras[0].fx = 0; });
   refused("cameras", [](auto& said) { said.viewers->cameras.resize(17, camera()); });
   refused("wants", [](auto& said) { said.wants.resize(kMaxShareWants + 1); });
+  refused("a version", [](auto& said) { said.place.version = kVersionBlocks * kVersionBlock; });
   refused("a step of means", [](auto& said) { said.place.mean_step = 0; });
+  refused("a step of means", [](auto& said) { said.place.mean_step *= 1.5F; });
+  refused("a step of means", [](auto& said) { said.place.mean_step = 0x1p-21F; });
   refused("a step of means", [](auto& said) { said.place.mean_step = std::numeric_limits<float>::quiet_NaN(); });
   said_.place.layout.appearance = Appearance::Radiance;  // a default is not written, and cannot be changed
   EXPECT_THROW(passed(said_, [](wire::StreamShare& body) { body.mutate_appearance(static_cast<wire::Appearance>(9)); }),
