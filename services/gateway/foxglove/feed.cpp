@@ -164,6 +164,7 @@ void Feed::receive(Source& source) {
   for (std::size_t i = 0; i < kMessagesATurn; ++i) {
     const auto message = source.subscriber.receive(std::chrono::milliseconds(0));
     if (!message) return;
+    if (message->topic() == topics::kEngineCameras.name) follow_asker(*message, source);
     const auto key = latch_key(*message);
     if (key && (source.held.size() < kMaxHeld || source.held.contains(*key)))
       source.held.insert_or_assign(*key, *message);

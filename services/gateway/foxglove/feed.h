@@ -10,6 +10,7 @@
 #include <stop_token>
 #include <string>
 #include <string_view>
+#include <utility>
 #include <vector>
 
 #include "bus/log_sink.h"
@@ -59,6 +60,8 @@ class Feed {
   void take_topics(const wire::Topics& topics);
   void take_heartbeat(const wire::Heartbeat& heartbeat);
   void take_log(const bus::Message& message);
+  /// Sets of cameras by one who asks for them no longer go.
+  void follow_asker(const bus::Message& message, Source& source);
   void take_cameras(const bus::Message& message, const Channels& channels);
   void take_scene(const bus::Message& message);
   void take_pose(const bus::Message& message, const Channels& channels);
@@ -78,12 +81,13 @@ class Feed {
   const Options& options_;
   const std::int64_t utc_offset_ns_;
   bus::Publisher publisher_;
-  std::map<std::string, Source> sources_;       ///< by topic
-  Hub::Wanted numbers_;                         ///< of what is wanted
-  Channels wanted_;                             ///< the same without numbers
-  std::map<std::string, std::string> schemas_;  ///< Header.schema of each topic of the bus that is offered
-  Channels cameras_;                            ///< names of those that are offered
-  std::map<std::string, Channels> cameras_of_;  ///< by the engine that is asked; "": all are
+  std::map<std::string, Source> sources_;             ///< by topic
+  Hub::Wanted numbers_;                               ///< of what is wanted
+  Channels wanted_;                                   ///< the same without numbers
+  std::map<std::string, std::string> schemas_;        ///< Header.schema of each topic of the bus that is offered
+  Channels cameras_;                                  ///< names of those that are offered
+  std::pair<std::string, std::uint64_t> cameras_by_;  ///< who has asked for them: source and epoch
+  std::map<std::string, Channels> cameras_of_;        ///< by the engine that is asked; "": all are
   std::map<std::string, std::int64_t> next_picture_ns_;
   std::optional<LiveScene> scene_;
   std::int64_t next_points_ns_ = 0, next_time_ns_ = 0;

@@ -50,6 +50,14 @@ std::vector<Offer> offers_of(const std::set<std::string>& cameras) {
 
 }  // namespace
 
+void Feed::follow_asker(const bus::Message& message, Source& source) {
+  std::pair by(message.header().source()->str(), message.header().epoch());
+  if (by == cameras_by_) return;
+  cameras_by_ = std::move(by);
+  cameras_of_.clear();
+  source.held.clear();
+}
+
 void Feed::take_cameras(const bus::Message& message, const Channels& channels) {
   const auto& body = message.root<wire::EngineCameras>();
   std::map<std::string, Camera> cameras;
