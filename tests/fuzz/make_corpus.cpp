@@ -13,6 +13,7 @@
 #include "stream/codecs.h"
 #include "stream/page_codec.h"
 #include "stream/scene_codec.h"
+#include "streamer/share_message.h"
 #include "targets/stream_layouts.h"
 #include "targets/toy_stream.h"
 #include "wire/convert.h"
@@ -209,6 +210,34 @@ void write_viewers(const Corpus& corpus) {
   corpus.write("viewer_hub", "full_and_gone", stuck);
 }
 
+void write_shares(const Corpus& corpus) {
+  const auto write = [&](const char* name, const streamer::ShareMessage& message) {
+    flatbuffers::FlatBufferBuilder builder;
+    builder.Finish(streamer::write_share(builder, wire::CreateHeader(builder), message));
+    corpus.write("stream_share", name, Maker().add(builder.GetBufferSpan()));
+  };
+  ToyStream toy;
+  streamer::ShareMessage said;
+  said.place = {.epoch = ToyStream::kEpoch,
+                .layout = layout(0).parameters(),
+                .mean_step = 1e-4F,
+                .version = 1000,
+                .encodes = true};
+  said.wants = {{4, wire::SharePart::Whole}, {5, wire::SharePart::Parts}, {5, wire::SharePart::Visibility}};
+  write("wants", said);
+  said.viewers = {.followed = true, .bytes_per_s = 1e6, .held = {3, 4}, .cameras = {look_at({1, 2, 3}, {}, 64, 64, 1)}};
+  said.pages = *toy.model().offered();
+  said.deltas = toy.tick().deltas;
+  said.visibility = toy.see(100);
+  write("tick", said);
+  for (const stream::OfferedPage& page : *toy.model().offered()) {
+    streamer::ShareAnswer answer{.what = {page.page, wire::SharePart::Whole}, .packets = {}};
+    for (auto& part : toy.model().page_packets(page.page)) answer.packets.push_back(std::move(part.packet));
+    said.answers.push_back(std::move(answer));
+  }
+  write("answers", said);
+}
+
 void write_bus(const Corpus& corpus) {
   for (const char* name : {"EngineFrame", "ModelPublished", "Heartbeat", "ModelInsert"}) {
     const Buffer body = read_file(kGolden / "messages" / (std::string(name) + ".bin"));
@@ -298,7 +327,7 @@ void write_files(const Corpus& corpus) {
     world::World world(folder, {.note = "corpus"});
     for (std::uint64_t p = 0; p < 2; ++p) {
       world::Page page{.key = {.morton = 10 * p, .id = p}, .count = 3, .step = p, .morton_last = 10 * p + 5};
-      page.words.resize(std::size_t{91} * page.count, static_cast<std::uint32_t>(p));
+      page.words.assign(std::size_t{91} * page.count, static_cast<std::uint32_t>(p));
       const auto payload = world::encode_page(page, world.layout());
       corpus.write("world_page", "page" + std::to_string(p),
                    Maker().byte(6).add(std::vector<std::uint8_t>(
@@ -331,6 +360,7 @@ int main(int argc, char** argv) {
   splatbus::fuzz::write_codecs(corpus);
   splatbus::fuzz::write_packets(corpus);
   splatbus::fuzz::write_viewers(corpus);
+  splatbus::fuzz::write_shares(corpus);
   splatbus::fuzz::write_bus(corpus);
   splatbus::fuzz::write_files(corpus);
   splatbus::fuzz::write_recordings(corpus);
