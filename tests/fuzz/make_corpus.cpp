@@ -213,14 +213,15 @@ void write_viewers(const Corpus& corpus) {
 void write_shares(const Corpus& corpus) {
   const auto write = [&](const char* name, const streamer::ShareMessage& message) {
     flatbuffers::FlatBufferBuilder builder;
-    builder.Finish(streamer::write_share(builder, wire::CreateHeader(builder), message));
+    builder.Finish(
+        streamer::write_share(builder, wire::CreateHeaderDirect(builder, "StreamShare", "streamer-2"), message));
     corpus.write("stream_share", name, Maker().add(builder.GetBufferSpan()));
   };
   ToyStream toy;
   streamer::ShareMessage said;
-  said.place = {.epoch = ToyStream::kEpoch,
+  said.place = {.epoch = toy.model().status().epoch,
                 .layout = layout(0).parameters(),
-                .mean_step = 1e-4F,
+                .mean_step = 1.0F / 8192,
                 .version = 1000,
                 .encodes = true};
   said.wants = {{4, wire::SharePart::Whole}, {5, wire::SharePart::Parts}, {5, wire::SharePart::Visibility}};

@@ -16,7 +16,8 @@ SPLATBUS_FUZZ_TARGET(stream_share, bytes) {
     require(!said.pages || said.pages->size() <= streamer::kMaxSharePages, "pages are bounded");
     require(said.wants.size() <= streamer::kMaxShareWants, "wants are bounded");
     flatbuffers::FlatBufferBuilder builder;
-    builder.Finish(streamer::write_share(builder, wire::CreateHeader(builder), said));
+    builder.Finish(
+        streamer::write_share(builder, wire::CreateHeaderDirect(builder, "StreamShare", "streamer-2"), said));
     const streamer::ShareMessage again =
         streamer::read_share(*flatbuffers::GetRoot<wire::StreamShare>(builder.GetBufferPointer()));
     require(again.deltas.size() == said.deltas.size() && again.visibility.size() == said.visibility.size(),
