@@ -49,7 +49,7 @@ class Trial {
   }
 
   /// Without views.
-  Trial(std::shared_ptr<bus::Context> context, Device memory, SampleBatch batch, const Settings& settings,
+  Trial(std::shared_ptr<bus::Context> context, Device memory, const SampleBatch& batch, const Settings& settings,
         std::size_t max_gaussians = 4096)
       : context_(std::move(context)) {
     EXPECT_EQ(parameters_.set("input_view_interval", "0", true), "");
@@ -60,7 +60,7 @@ class Trial {
     EXPECT_EQ(parameters_.set("ema_s", "0", true), "");                 // it depends on the pace
     EXPECT_EQ(parameters_.set("lr_half_life_steps", "200", true), "");  // each backend has one of its own
     for (const auto& [name, value] : settings) EXPECT_EQ(parameters_.set(name, value, false), "");
-    const Options options = parameters_.read<Options>();
+    const auto options = parameters_.read<Options>();
     store_ = std::make_unique<model::PageStore>(context_, options.layout,
                                                 model::PageStoreOptions{.max_gaussians = max_gaussians}, memory);
     optimizer_ = std::make_unique<Optimizer>(*store_, options);
