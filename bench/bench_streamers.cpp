@@ -173,6 +173,17 @@ double cpu_ms(pid_t pid) {
   return 1e3 * (user + system) / static_cast<double>(::sysconf(_SC_CLK_TCK));
 }
 
+/// Throws std::runtime_error when one of them has not come after a while.
+void wait_for_files(const std::vector<std::string>& paths) {
+  const auto end = std::chrono::steady_clock::now() + 30s;
+  for (const std::string& path : paths) {
+    while (!std::filesystem::exists(path)) {
+      if (std::chrono::steady_clock::now() > end) throw std::runtime_error(path + " has not come");
+      std::this_thread::sleep_for(10ms);
+    }
+  }
+}
+
 /// Of one streamer, milliseconds of CPU time a tick.
 struct Cost {
   double encode = 0, send = 0, process = 0;
@@ -192,18 +203,18 @@ std::map<std::string, Cost> measure(const Options& options, int streamers) {
   {
     std::vector<Process> processes;
     std::map<std::string, pid_t> pids;
-    std::vector<std::string> endpoints;
+    std::vector<std::string> sockets, endpoints;
     std::fflush(stdout);  // what is buffered would be written by each
     processes.emplace_back([&] { run_broker(address); });
-    std::this_thread::sleep_for(500ms);
     processes.emplace_back([&] { run_trainer(options, address); });
     for (int k = 1; k <= streamers; ++k) {
       const auto name = fmt::format("streamer-{}", k);
-      endpoints.push_back(fmt::format("ipc://{}/{}", folder, name));
+      sockets.push_back(fmt::format("{}/{}", folder, name));
+      endpoints.push_back("ipc://" + sockets.back());
       processes.emplace_back([&] { run_streamer(options, address, name); });
       pids[name] = processes.back().pid();
     }
-    std::this_thread::sleep_for(2s);
+    wait_for_files(sockets);
     processes.emplace_back([&] { run_readers(options.viewers, endpoints, *shared); });
     std::this_thread::sleep_for(std::chrono::duration<double>(options.warm_s));
 

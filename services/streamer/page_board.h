@@ -78,7 +78,7 @@ class PageBoard {
 
   /// Another replica's answer; what nobody here wanted, or has become older than what is offered, is not taken.
   void take(ShareAnswer answer);
-  /// What to ask others for now: of each at most every kAskNs, while somebody needs it.
+  /// What is to be asked of others, each thing at most every kAskNs and only as long as somebody needs it.
   [[nodiscard]] std::vector<ShareWant> take_wants(std::int64_t now_ns);
   static constexpr std::int64_t kAskNs = 200'000'000;
   /// Visibility of several replicas is of several scenes: its version is written anew so that none runs backwards.
