@@ -95,6 +95,16 @@ class FakeTrainer {
     pages_.publish(publisher_, model, generation, insert_epoch, {batches.begin(), batches.end()});
   }
 
+  /// Whether the broker has its newest word; says that again as long as it has not.
+  bool is_latched() {
+    bus::Subscriber reader(context_, {"model/published"});
+    const auto message = reader.receive(100ms);
+    const bool has = message && message->header().epoch() == context_->epoch() &&
+                     message->root<wire::ModelPublished>().generation() == generation;
+    if (!has) publish();
+    return has;
+  }
+
   /// As pruning does: from `first` on they are gone.
   void remove_from(std::size_t first) {
     points.resize(first);
@@ -149,8 +159,10 @@ class ExpanderTest : public bus_test::BusTest, public testing::WithParamInterfac
 
   void set(const std::string& name, const std::string& value) { ASSERT_EQ(parameters_.set(name, value, true), ""); }
 
-  /// Starts an expander that hears what is published from now on.
+  /// Starts an expander that hears what is published from now on, and first the trainer's newest word: not one before
+  /// it, nor one of a trainer of the same name that has just ended.
   void start() {
+    ASSERT_TRUE(until([&] { return !trainer_ || trainer_->is_latched(); }));
     expander_ = std::make_unique<Expander>(connect("expander"), parameters_, GetParam().backend);
     ASSERT_TRUE(until([&] { return expander_->model_sync().settled() && state_.has_value() && rounds() == 0; }));
   }
