@@ -131,7 +131,7 @@ std::uint64_t replay_in_window(LogFeed& feed, Painter& painter, Window& window, 
     }
     Shown& shown = feed.take();  // what has faded
     changed = painter.take(shown) || changed;
-    changed = window.take_settings_changed() || changed;
+    changed = window.take_picture_due() || changed;
     window.set_figures({.held = shown.gaussians, .drawn = {}, .stream = {}});
     if (window.take_frame_all()) {
       if (const auto bounds = painter.bounds()) window.frame(bounds->centre, bounds->radius_m);

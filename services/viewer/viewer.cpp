@@ -111,7 +111,7 @@ bool Viewer::serve_window() {
   if (!window_) return false;
   window_->poll_events();
   window_stream_->turn(bus::now_ns(), *painter_, shown_.gaussians, scene_arrived_ns_);
-  return window_->take_settings_changed();
+  return window_->take_picture_due();
 }
 
 void Viewer::refresh_options() {

@@ -42,7 +42,8 @@ struct Window::Impl {
   std::optional<Panels> panels;  // these two in the window's context
   std::optional<KeptPicture> kept;
   std::string folder;
-  bool frame_all = false, settings_changed = false;
+  bool frame_all = false, picture_due = false;
+  std::pair<int, int> shown_size{};
   bool damaged = false;  // by another window that was over it
   std::optional<std::string> save;
   std::int64_t swapped_ns = 0;
@@ -133,7 +134,7 @@ struct Window::Impl {
     panels->content.full_screen = glfwGetWindowMonitor(window) != nullptr;
     const Settings before = panels->content.settings;
     const std::vector<Action> actions = panels->draw(new_picture);
-    settings_changed = settings_changed || !(panels->content.settings == before);
+    picture_due = picture_due || !(panels->content.settings == before);
     glfwSwapBuffers(window);
     damaged = false;
     swapped_ns = bus::now_ns();
@@ -255,6 +256,8 @@ void Window::show(const cv::Mat& picture) {
 void Window::swap() {
   const auto [width, height] = impl_->size();
   impl_->kept->keep(width, height);
+  // GLFW knows a window's new size before OpenGL does: a first picture of it may lack what was outside of the old.
+  if (std::exchange(impl_->shown_size, {width, height}) != std::pair(width, height)) impl_->picture_due = true;
   impl_->present(true);
 }
 
@@ -262,8 +265,8 @@ const Settings& Window::settings() const {
   return impl_->panels->content.settings;
 }
 
-bool Window::take_settings_changed() {
-  return std::exchange(impl_->settings_changed, false);
+bool Window::take_picture_due() {
+  return std::exchange(impl_->picture_due, false);
 }
 
 void Window::offer_stream(std::size_t max_gaussians, std::uint32_t max_kbps) {

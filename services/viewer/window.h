@@ -50,8 +50,9 @@ class Window {
 
   /// As chosen in the menu; what Painter and who streams follow.
   [[nodiscard]] const Settings& settings() const;
-  /// Whether another picture was chosen since.
-  [[nodiscard]] bool take_settings_changed();
+  /// Whether a picture is due though what it shows stands: another was chosen since, or the last was the first of its
+  /// size.
+  [[nodiscard]] bool take_picture_due();
   /// The menu has budgets from now on, which begin as these, and offers to save the model.
   void offer_stream(std::size_t max_gaussians, std::uint32_t max_kbps);
   /// The end of the file's name, ".ply", once after the person asked for the model.
