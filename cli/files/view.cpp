@@ -129,7 +129,7 @@ void show(const Scene& scene, const std::string& title) {
   for (; !window.closed(); window.poll_events()) {
     if (window.take_frame_all()) window.frame(middle.centre, middle.radius_m);
     const Camera camera = scene.seen(window.camera());
-    if (shown == camera && !window.take_settings_changed()) {
+    if (shown == camera && !window.take_picture_due()) {
       window.wait_events(kIdle);
       continue;
     }

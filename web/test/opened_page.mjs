@@ -44,6 +44,8 @@ export async function opened(path, run, { init = () => {}, before: prepare = () 
   }
 }
 
+/** For `before`: a page that is open already may have asked the server before the browser hands its requests over. */
+export const answering = (address, answer) => (page) => page.route(address, answer);
 /** Waits until the camera is to be as this says, to a millionth; input arrives with frames. */
 export const reaches = (page, wanted) =>
   page.waitForFunction((pose) => Object.entries(pose).every(([key, value]) => Math.abs(window.splatbus.rig.goal[key] - value) < 1e-6), wanted);

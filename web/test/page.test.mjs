@@ -2,7 +2,7 @@
 import assert from 'node:assert/strict';
 import { readFileSync } from 'node:fs';
 import { test } from 'node:test';
-import { goal, kPage, kStart, opened, posted, shownColors, view } from './opened_page.mjs';
+import { answering, goal, kPage, kStart, opened, posted, shownColors, view } from './opened_page.mjs';
 
 test('the address has the view and not the token, and shows the same again', () =>
   opened(`index.html?token=abc&gpu=webgl2#${view(kStart)}`, async (page) => {
@@ -177,24 +177,24 @@ test('a rate is asked for in the menu, at once and for the next time', () =>
     assert.equal(await page.evaluate(() => window.splatbus.link.options.budget.megabits), 5);
   }));
 
-test('who is not let in is told so, and not that nobody is there', () =>
-  opened(`index.html?token=abc#${view(kStart)}`, async (page) => {
+test('who is not let in is told so, and not that nobody is there', () => {
+  let status = (route) => route.abort();
+  return opened(`index.html?token=abc#${view(kStart)}`, async (page) => {
     const says = (text) => page.waitForFunction((part) => document.querySelector('.notice').textContent.includes(part), text);
     const lost = (retryS) => page.evaluate((seconds) => new BroadcastChannel('connection').postMessage(seconds), retryS);
-    await page.route('**/status', (route) => route.abort());
     await lost(30);
     await says('No connection. Trying again in');
     await page.waitForFunction(() => document.querySelector('[data-figure=connection]').textContent === 'Lost');
     await page.keyboard.press('c');
     await says('does not answer');
-    await page.unroute('**/status');
-    await page.route('**/status', (route) => route.fulfill({ status: 401, body: 'a token is needed' }));
+    status = (route) => route.fulfill({ status: 401, body: 'a token is needed' });
     await lost(30);
     await says('does not accept the token');
     assert.ok((await shownColors(page)) > 500, 'the picture stands');
     await lost(0);
     await page.waitForFunction(() => document.querySelector('.notice').textContent === '');
-  }));
+  }, { before: answering('**/status', (route) => status(route)) });
+});
 
 test('a snapshot is a PNG of the picture', () =>
   opened(kPage, async (page) => {
@@ -217,13 +217,12 @@ test('a flight is measured, shown and posted', () =>
     assert.ok(shown.frames > 5 && shown.medianMs > 0 && shown.gaussians === 3000, body);
   }));
 
-test('a slider between the engine\'s own picture and the splats, and how alike they are', () =>
-  opened(`${kPage.replace('index.html', 'index.html?gpu=webgl2')}`, async (page) => {
-    await page.route('**/status', (route) => route.fulfill({ json: { rights: 'view' } }));
+test('a slider between the engine\'s own picture and the splats, and how alike they are', () => {
+  let rights = 'view';
+  return opened(`${kPage.replace('index.html', 'index.html?gpu=webgl2')}`, async (page) => {
     await page.keyboard.press('c');
     await page.waitForFunction(() => document.querySelector('.notice').textContent.includes('may not'));
-    await page.unroute('**/status');
-    await page.route('**/status', (route) => route.fulfill({ json: { rights: 'view,probe' } }));
+    rights = 'view,probe';
     await page.evaluate(() => {
       const label = document.querySelector('.compare .right');
       const stop = new MutationObserver(() => (window.namedEarly ??= getComputedStyle(label).display !== 'none' && document.querySelector('.compare canvas').hidden));
@@ -249,13 +248,12 @@ test('a slider between the engine\'s own picture and the splats, and how alike t
     await page.waitForFunction(() => window.splatbus.extras.comparison.quality && !document.querySelector('.compare canvas').hidden);
     await page.keyboard.press('c');
     await page.waitForFunction(() => !window.splatbus.extras.comparison.on);
-  }));
+  }, { before: answering('**/status', (route) => route.fulfill({ json: { rights } })) });
+});
 
-test('the model is downloaded as a file, or it is said that there is none', () =>
-  opened(`index.html?token=abc#${view(kStart)}`, async (page) => {
-    await page.route('**/model.glb', (route) =>
-      route.fulfill({ body: route.request().headers().authorization === 'Bearer abc' ? 'a model' : 'no token' }),
-    );
+test('the model is downloaded as a file, or it is said that there is none', () => {
+  const body = (route) => (route.request().headers().authorization === 'Bearer abc' ? 'a model' : 'no token');
+  return opened(`index.html?token=abc#${view(kStart)}`, async (page) => {
     await page.keyboard.press('m');
     const download = page.waitForEvent('download');
     await page.getByRole('button', { name: '.glb' }).click();
@@ -264,4 +262,5 @@ test('the model is downloaded as a file, or it is said that there is none', () =
     assert.equal(readFileSync(await file.path(), 'utf8'), 'a model');
     await page.getByRole('button', { name: '.spz' }).click();
     await page.waitForFunction(() => document.querySelector('.notice').textContent.includes('no such file'));
-  }));
+  }, { before: answering('**/model.glb', (route) => route.fulfill({ body: body(route) })) });
+});
