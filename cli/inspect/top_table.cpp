@@ -89,10 +89,9 @@ TopView TopSampler::view() {
   const TopicSnapshot& before = watch_.topics_before() ? *watch_.topics_before() : now;
   view.interval_s = static_cast<double>(now.published_ns - before.published_ns) / 1e9;
 
-  std::map<std::string, double> rates;
+  std::map<std::string, double> rates = source_rates(before, now);
   for (const auto& [name, seen] : now.topics) {
     TopTopic topic{.name = name, .traffic = traffic_between(before, now, name), .readers = seen.subscribers.size()};
-    if (seen.sources.size() == 1) rates[*seen.sources.begin()] += topic.traffic.rate_hz;
     view.topics.push_back(std::move(topic));
   }
   std::stable_sort(view.topics.begin(), view.topics.end(), [](const TopTopic& a, const TopTopic& b) {

@@ -22,7 +22,7 @@ struct TopService {
   std::optional<int> restarts;
   std::optional<double> processor_percent;        ///< of one core, since the view before
   std::optional<double> memory_bytes, gpu_bytes;  ///< the former as own_bytes()
-  double rate_hz = 0;                             ///< messages of the topics that it alone publishes
+  double rate_hz = 0;                             ///< messages that it publishes, of all topics
   double drops = 0;                               ///< since it started: drops_of()
 };
 

@@ -16,6 +16,17 @@ std::set<std::string> to_set(const Strings* strings) {
   return result;
 }
 
+std::map<std::string, std::uint64_t> counts_of(const wire::TopicInfo& topic) {
+  std::map<std::string, std::uint64_t> result;
+  const auto* names = topic.sources();
+  const auto* counts = topic.source_messages();
+  if (names == nullptr || counts == nullptr) return result;
+  for (flatbuffers::uoffset_t i = 0; i < std::min(names->size(), counts->size()); ++i) {
+    result[names->Get(i)->str()] = counts->Get(i);
+  }
+  return result;
+}
+
 /// An older broker says none.
 wire::Spread value_of(const wire::Spread* spread) {
   return spread != nullptr ? *spread : wire::Spread();
@@ -48,7 +59,8 @@ TopicSnapshot read_topics(const wire::Topics& topics) {
                                            .intervals = value_of(topic->intervals()),
                                            .transits = value_of(topic->transits()),
                                            .ages = value_of(topic->ages()),
-                                           .subscribers = to_set(topic->subscribers())};
+                                           .subscribers = to_set(topic->subscribers()),
+                                           .source_messages = counts_of(*topic)};
   }
   return result;
 }
@@ -69,6 +81,28 @@ TopicTraffic traffic_between(const TopicSnapshot& before, const TopicSnapshot& a
           .intervals = summary(earlier.intervals, now->second.intervals),
           .transits = summary(earlier.transits, now->second.transits),
           .ages = summary(earlier.ages, now->second.ages)};
+}
+
+std::map<std::string, double> source_rates(const TopicSnapshot& before, const TopicSnapshot& after) {
+  std::map<std::string, double> rates;
+  if (after.published_ns <= before.published_ns) return rates;
+  const double seconds = static_cast<double>(after.published_ns - before.published_ns) / 1e9;
+  for (const auto& [name, seen] : after.topics) {
+    if (seen.source_messages.empty()) {
+      if (seen.sources.size() == 1) rates[*seen.sources.begin()] += traffic_between(before, after, name).rate_hz;
+      continue;
+    }
+    const auto then = before.topics.find(name);
+    for (const auto& [source, messages] : seen.source_messages) {
+      std::uint64_t earlier = 0;
+      if (then != before.topics.end()) {
+        const auto found = then->second.source_messages.find(source);
+        if (found != then->second.source_messages.end()) earlier = found->second;
+      }
+      if (messages > earlier) rates[source] += static_cast<double>(messages - earlier) / seconds;
+    }
+  }
+  return rates;
 }
 
 }  // namespace splatbus::cli

@@ -18,6 +18,8 @@ struct TopicSeen {
   std::uint64_t shared_bytes = 0;  ///< of these, in slabs
   wire::Spread intervals, transits, ages;
   std::set<std::string> subscribers;
+  std::map<std::string, std::uint64_t>
+      source_messages;  ///< of each of `sources`; empty: an older broker, which says none
 };
 
 /// Of a quantity between two snapshots; least and greatest of the snapshots from after the first to the last.
@@ -46,5 +48,9 @@ struct TopicTraffic {
 /// All zero when no time lies between them, and when the broker has started again.
 [[nodiscard]] TopicTraffic traffic_between(const TopicSnapshot& before, const TopicSnapshot& after,
                                            const std::string& topic);
+
+/// Messages a second of each source, over all topics; zero as above. What the broker counts for no source (beyond 16 of
+/// a topic) is in none.
+[[nodiscard]] std::map<std::string, double> source_rates(const TopicSnapshot& before, const TopicSnapshot& after);
 
 }  // namespace splatbus::cli

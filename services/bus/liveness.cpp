@@ -16,6 +16,15 @@ void remember(std::set<std::string, std::less<>>& names, const flatbuffers::Stri
   if (names.size() < max_names && !names.contains(name.string_view())) names.insert(name.str());
 }
 
+void count(std::map<std::string, std::uint64_t, std::less<>>& messages, const flatbuffers::String& source) {
+  auto found = messages.find(source.string_view());
+  if (found == messages.end()) {
+    if (messages.size() >= max_names) return;
+    found = messages.emplace(source.str(), 0).first;
+  }
+  ++found->second;
+}
+
 }  // namespace
 
 void Liveness::note(const wire::Heartbeat& heartbeat, std::int64_t now) {
@@ -84,7 +93,7 @@ void TopicTable::note(std::string_view name, const wire::Header& header, std::si
   }
   Topic& topic = found->second;
   remember(topic.schemas, *header.schema());
-  remember(topic.sources, *header.source());
+  count(topic.sources, *header.source());
   topic.latched = topic.latched || header.latch();
   if (topic.messages > 0) topic.intervals.add(now - topic.last_ns);
   topic.last_ns = now;

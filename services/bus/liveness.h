@@ -57,7 +57,8 @@ class RunningSpread {
 class TopicTable {
  public:
   struct Topic {
-    std::set<std::string, std::less<>> schemas, sources;
+    std::set<std::string, std::less<>> schemas;
+    std::map<std::string, std::uint64_t, std::less<>> sources;  ///< messages of each
     bool latched = false;
     std::uint64_t messages = 0;
     std::uint64_t bytes = 0;         ///< with the tensors that they announce

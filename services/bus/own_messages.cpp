@@ -75,12 +75,19 @@ bus::Frames OwnMessages::topics(TopicTable& table, const Readers& readers) {
   for (auto& [name, topic] : table.topics()) {
     const auto name_offset = builder.CreateString(name);
     const auto schemas = strings(topic.schemas);
-    const auto sources = strings(topic.sources);
+    std::vector<std::string> source_names;
+    std::vector<std::uint64_t> source_counts;
+    for (const auto& [source, messages] : topic.sources) {
+      source_names.push_back(source);
+      source_counts.push_back(messages);
+    }
+    const auto sources = strings(source_names);
+    const auto source_messages = builder.CreateVector(source_counts);
     const auto subscribers = strings(readers(name));
     const wire::Spread intervals = topic.intervals.take(), transits = topic.transits.take(), ages = topic.ages.take();
     offsets.push_back(wire::CreateTopicInfo(builder, name_offset, schemas, sources, topic.latched, topic.messages,
-                                            topic.bytes, topic.shared_bytes, &intervals, &transits, &ages,
-                                            subscribers));
+                                            topic.bytes, topic.shared_bytes, &intervals, &transits, &ages, subscribers,
+                                            source_messages));
   }
   builder.Finish(wire::CreateTopicsDirect(builder, head, &offsets));
   return make_frames(splatbus::topics::kTopics.name, builder);

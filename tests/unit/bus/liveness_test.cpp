@@ -65,6 +65,18 @@ TEST(LivenessTest, NodesAndTopicsAreBounded) {
   EXPECT_EQ(one.bytes, 11000u);
 }
 
+TEST(TopicTableTest, CountsTheMessagesOfEachSource) {
+  TopicTable table;
+  for (const char* source : {"streamer", "streamer-2", "streamer"}) {
+    flatbuffers::FlatBufferBuilder builder;
+    builder.Finish(wire::CreateHeaderDirect(builder, "StreamStats/2", source, 1, 1));
+    table.note("stream/stats", *flatbuffers::GetRoot<wire::Header>(builder.GetBufferPointer()), 10, kSecond, true);
+  }
+  const auto& sources = table.topics().at("stream/stats").sources;
+  EXPECT_EQ(sources.at("streamer"), 2u);
+  EXPECT_EQ(sources.at("streamer-2"), 1u);
+}
+
 TEST(TopicTableTest, TellsIntervalsAgesAndSharedMemoryApart) {
   TopicTable table;
   const auto note = [&](std::int64_t now, bool local) {

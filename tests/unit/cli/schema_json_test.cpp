@@ -146,6 +146,28 @@ TEST(TopicStatistics, TrafficIsWhatCameBetweenTwoSnapshots) {
   EXPECT_EQ(traffic_between(before, after, "a").messages, 0U) << "another broker";
 }
 
+TEST(TopicStatistics, EachSourceHasItsOwnRateWhoeverElsePublishes) {
+  TopicSnapshot before{.published_ns = 5'000'000'000, .topics = {}};
+  before.topics["stream/stats"] = {.sources = {"streamer", "streamer-2"},
+                                   .messages = 300,
+                                   .source_messages = {{"streamer", 200}, {"streamer-2", 100}}};
+  before.topics["alone"] = {.sources = {"streamer-2"}, .messages = 10, .source_messages = {{"streamer-2", 10}}};
+  TopicSnapshot after = before;
+  after.published_ns += 2'000'000'000;
+  after.topics["stream/stats"].messages += 30;
+  after.topics["stream/stats"].source_messages = {{"streamer", 220}, {"streamer-2", 106}, {"streamer-3", 4}};
+  after.topics["alone"].messages += 2;
+  after.topics["alone"].source_messages["streamer-2"] += 2;
+  EXPECT_EQ(source_rates(before, after),
+            (std::map<std::string, double>{{"streamer", 10}, {"streamer-2", 4}, {"streamer-3", 2}}));
+  EXPECT_TRUE(source_rates(after, after).empty()) << "no time has passed";
+  for (auto* snapshot : {&before, &after}) {
+    for (auto& [name, topic] : snapshot->topics) topic.source_messages.clear();
+  }
+  EXPECT_EQ(source_rates(before, after), (std::map<std::string, double>{{"streamer-2", 1}}))
+      << "an older broker tells it where there is one source";
+}
+
 TEST(JsonText, BytesThatAreNotUtf8AreReplaced) {
   const nlohmann::json json{{"topic\xff", {"sour\xc3", "d\xc3\xa9j\xc3\xa0"}}};
   EXPECT_EQ(json_text(json), "{\"topic\xef\xbf\xbd\":[\"sour\xef\xbf\xbd\",\"d\xc3\xa9j\xc3\xa0\"]}");
