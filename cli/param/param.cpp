@@ -9,6 +9,8 @@
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <stdexcept>
+#include <variant>
+#include <vector>
 
 #include "bus/nearest.h"
 #include "control_request.h"
@@ -39,6 +41,13 @@ const bus::ParameterDescription* find(const std::optional<bus::ParameterReport>&
   return found == report->parameters.end() ? nullptr : &*found;
 }
 
+/// A number or a boolean where it is declared so.
+nlohmann::json value_json(const ParameterOwner& owner, const std::string& key, const std::string& text) {
+  const auto type = owner.types.find(key);
+  if (type == owner.types.end()) return text;
+  return std::visit([](const auto& value) { return nlohmann::json(value); }, bus::typed_value(text, type->second));
+}
+
 void print(const ParameterOwner& owner, const bus::ParameterDescription& parameter, bool known) {
   if (!known) {
     fmt::print("{}.{} = {}\n", owner.source, parameter.name, parameter.value);
@@ -67,11 +76,12 @@ int list(const ParamOptions& options) {
         print(owner, parameter, known != nullptr);
         continue;
       }
-      nlohmann::json json{{"service", owner.source}, {"kind", owner.kind}, {"name", name}, {"value", value}};
+      nlohmann::json json{
+          {"service", owner.source}, {"kind", owner.kind}, {"name", name}, {"value", value_json(owner, name, value)}};
       if (known != nullptr) {
         json.update({{"type", parameter.type},
                      {"bounds", parameter.bounds},
-                     {"default", parameter.default_value},
+                     {"default", value_json(owner, name, parameter.default_value)},
                      {"text", parameter.text},
                      {"at_start", parameter.at_start}});
       }
@@ -96,7 +106,9 @@ int get(const ParamOptions& options) {
     const std::string* value = owner.find(options.key);
     if (value == nullptr) refuse_key(owner, options.key);
     if (options.json) {
-      fmt::print("{}\n", json_text({{"service", owner.source}, {"name", options.key}, {"value", *value}}));
+      fmt::print("{}\n", json_text({{"service", owner.source},
+                                    {"name", options.key},
+                                    {"value", value_json(owner, options.key, *value)}}));
     } else {
       fmt::print("{}\n", *value);
     }
@@ -178,8 +190,8 @@ int set(const ParamOptions& options) {
     if (options.json) {
       fmt::print("{}\n", json_text({{"service", owner.source},
                                     {"name", options.key},
-                                    {"before", before},
-                                    {"value", now},
+                                    {"before", value_json(owner, options.key, before)},
+                                    {"value", value_json(owner, options.key, now)},
                                     {"needs_restart", restart}}));
     } else if (restart) {
       fmt::print("{}.{} is {} until {} is restarted\n", owner.source, options.key, before, owner.source);

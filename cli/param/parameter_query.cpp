@@ -25,10 +25,12 @@ ParameterOwner owner_of(const wire::Heartbeat& heartbeat) {
   ParameterOwner owner{.source = heartbeat.header()->source()->str(),
                        .kind = heartbeat.service()->str(),
                        .pid = heartbeat.pid(),
-                       .values = {}};
+                       .values = {},
+                       .types = {}};
   if (heartbeat.parameters() != nullptr) {
     for (const auto* entry : *heartbeat.parameters()) {
       owner.values.emplace_back(entry->key()->str(), entry->value()->str());
+      owner.types[entry->key()->str()] = entry->type();
     }
   }
   return owner;

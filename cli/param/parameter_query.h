@@ -20,6 +20,7 @@ struct ParameterOwner {
   std::string source, kind;
   std::uint32_t pid = 0;
   std::vector<std::pair<std::string, std::string>> values;  ///< in the order of the program
+  std::map<std::string, wire::ValueType> types;             ///< as declared; Unsaid where the process does not say
 
   [[nodiscard]] const std::string* find(const std::string& key) const;
   [[nodiscard]] std::vector<std::string> names() const;

@@ -20,6 +20,15 @@ namespace {
 constexpr std::int64_t beat_ns = 200'000'000, longest_wait_ms = 20;
 constexpr std::int64_t longest_trace_ns = 10'000'000'000;
 
+/// As much of it as a heartbeat may have, in whole characters.
+std::string shortened(std::string text) {
+  if (text.size() <= HeartbeatLimits::kText) return text;
+  std::size_t end = HeartbeatLimits::kText;
+  while (end > 0 && (static_cast<unsigned char>(text[end]) & 0xC0U) == 0x80U) --end;
+  text.resize(end);
+  return text;
+}
+
 }  // namespace
 
 HeartbeatThread::HeartbeatThread(ServiceContext& service, std::string kind)
@@ -116,7 +125,7 @@ void HeartbeatThread::beat(wire::ServiceState state) {
   {
     const std::scoped_lock lock(service_.mutex_);
     counters = service_.counters_;
-    detail = service_.detail_;
+    detail = shortened(service_.detail_);
   }
   const MessageInfo info{.capture_ns = 0, .latch_key = service_.bus->source(), .tensors = {}};
   publisher_.publish(topics::kHeartbeat, info, [&](auto& builder, auto header) {

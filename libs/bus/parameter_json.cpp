@@ -2,13 +2,37 @@
 
 #include <fmt/format.h>
 
+#include <charconv>
+#include <cmath>
 #include <nlohmann/json.hpp>
 
 #include "bus/error.h"
+#include "wire/system_generated.h"
 
 namespace splatbus::bus {
 
 using Json = nlohmann::json;
+
+wire::ValueType value_type(const ParameterSpec& spec) {
+  if (std::holds_alternative<bool>(spec.default_value)) return wire::ValueType::Boolean;
+  if (std::holds_alternative<std::int64_t>(spec.default_value)) return wire::ValueType::Integer;
+  if (std::holds_alternative<double>(spec.default_value)) return wire::ValueType::Number;
+  return spec.choices.empty() ? wire::ValueType::Text : wire::ValueType::Choice;
+}
+
+ParameterValue typed_value(const std::string& text, wire::ValueType type) {
+  const char* const end = text.data() + text.size();
+  const auto reads = [&](auto& value) {
+    const auto read = std::from_chars(text.data(), end, value);
+    return read.ec == std::errc() && read.ptr == end;
+  };
+  std::int64_t whole = 0;
+  double number = 0;
+  if (type == wire::ValueType::Boolean && (text == "true" || text == "false")) return text == "true";
+  if (type == wire::ValueType::Integer && reads(whole)) return whole;
+  if (type == wire::ValueType::Number && reads(number) && std::isfinite(number)) return number;
+  return text;
+}
 
 std::vector<ParameterDescription> describe(const Parameters& parameters) {
   std::vector<ParameterDescription> result;

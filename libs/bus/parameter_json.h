@@ -1,11 +1,21 @@
 #pragma once
 
+#include <cstdint>
 #include <string>
 #include <vector>
 
 #include "bus/parameters.h"
 
+namespace splatbus::wire {
+enum class ValueType : std::uint8_t;
+}
+
 namespace splatbus::bus {
+
+/// As heartbeats say it.
+[[nodiscard]] wire::ValueType value_type(const ParameterSpec& spec);
+/// What a heartbeat says of a parameter, as the type that it names; a text where that is none, or not what the text is.
+[[nodiscard]] ParameterValue typed_value(const std::string& text, wire::ValueType type);
 
 /// A parameter as a program tells others of it.
 struct ParameterDescription {

@@ -8,7 +8,6 @@ namespace {
 
 constexpr std::int64_t silent_ns = 2'000'000'000;
 constexpr std::int64_t forgotten_ns = 60'000'000'000;
-constexpr std::size_t max_nodes = 1024;
 constexpr std::size_t max_topics = 1024;
 constexpr std::size_t max_names = 16;  // of sources and of schemas of a topic
 
@@ -27,15 +26,23 @@ void count(std::map<std::string, std::uint64_t, std::less<>>& messages, const fl
 
 }  // namespace
 
-void Liveness::note(const wire::Heartbeat& heartbeat, std::int64_t now) {
+bool Liveness::has_room(const std::string& source, bool local) const {
+  if (nodes_.contains(source)) return true;
+  return nodes_.size() < kMaxNodes && (local || remote_ < kMaxRemoteNodes);
+}
+
+void Liveness::note(const wire::Heartbeat& heartbeat, std::int64_t now, bool local) {
   const auto source = heartbeat.header()->source()->str();
-  if (nodes_.size() >= max_nodes && !nodes_.contains(source)) return;
+  if (!has_room(source, local)) return;
   auto& node = nodes_[source];
+  if (!node.local) --remote_;
+  if (!local) ++remote_;
   const bool alive =
       heartbeat.state() != wire::ServiceState::Stopping && heartbeat.state() != wire::ServiceState::Failed;
   changed_ =
       changed_ || node.alive != alive || node.state != heartbeat.state() || node.epoch != heartbeat.header()->epoch();
-  node = {heartbeat.service()->str(), heartbeat.pid(), heartbeat.header()->epoch(), heartbeat.state(), now, alive};
+  node = {
+      heartbeat.service()->str(), heartbeat.pid(), heartbeat.header()->epoch(), heartbeat.state(), now, alive, local};
 }
 
 /// Under another name: a successor that stood by as NAME.next is NAME from its takeover on.
@@ -56,6 +63,7 @@ std::vector<std::string> Liveness::update(std::int64_t now) {
     }
     if (now - node.heard_ns > forgotten_ns || goes_on_elsewhere(it->first, node)) {
       forgotten.push_back(it->first);
+      if (!node.local) --remote_;
       it = nodes_.erase(it);
       changed_ = true;
     } else {

@@ -21,9 +21,13 @@ class Liveness {
     wire::ServiceState state = wire::ServiceState::Starting;
     std::int64_t heard_ns = 0;
     bool alive = false;
+    bool local = true;
   };
+  static constexpr std::size_t kMaxNodes = 1024, kMaxRemoteNodes = 512;
 
-  void note(const wire::Heartbeat& heartbeat, std::int64_t now);
+  /// One that heartbeat_problem() finds nothing wrong with, of a source of this machine or not. Of more sources than
+  /// there may be, it keeps the first, and places for those of this machine.
+  void note(const wire::Heartbeat& heartbeat, std::int64_t now, bool local = true);
 
   /// Marks the silent as gone; returns the sources that leave the list: gone for long, or of a process that goes on
   /// under another name.
@@ -35,9 +39,11 @@ class Liveness {
   [[nodiscard]] const std::map<std::string, Node>& nodes() const { return nodes_; }
 
  private:
+  [[nodiscard]] bool has_room(const std::string& source, bool local) const;
   [[nodiscard]] bool goes_on_elsewhere(const std::string& source, const Node& node) const;
 
   std::map<std::string, Node> nodes_;
+  std::size_t remote_ = 0;  ///< of nodes_
   bool changed_ = false;
 };
 

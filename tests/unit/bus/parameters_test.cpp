@@ -9,6 +9,7 @@
 #include "bus/error.h"
 #include "bus/nearest.h"
 #include "bus/parameter_json.h"
+#include "wire/system_generated.h"
 
 namespace splatbus::bus {
 namespace {
@@ -126,6 +127,27 @@ TEST(ParametersTest, TextsKeepToTheirRule) {
   EXPECT_EQ(parameters.set("viewer", "wss://host:7680", false), "");
   EXPECT_NE(parameters.set("viewer", "wss://", false), "");
   EXPECT_EQ(parameters.read<Connection>().endpoint, "ipc:///tmp/x");
+}
+
+TEST(ParametersTest, TypesAreSaidAsDeclaredAndReadBack) {
+  using wire::ValueType;
+  EXPECT_EQ(value_type({"a", true, "", {}, {}}), ValueType::Boolean);
+  EXPECT_EQ(value_type({"a", std::int64_t{4}, "", {}, {}}), ValueType::Integer);
+  EXPECT_EQ(value_type({"a", 4.0, "", {}, {}}), ValueType::Number);
+  EXPECT_EQ(value_type({"a", std::string("4"), "", {}, {}}), ValueType::Text);
+  EXPECT_EQ(value_type({"a", std::string("4"), "", {}, {"4", "8"}}), ValueType::Choice);
+  EXPECT_EQ(typed_value("true", ValueType::Boolean), ParameterValue(true));
+  EXPECT_EQ(typed_value("4", ValueType::Integer), ParameterValue(std::int64_t{4}));
+  EXPECT_EQ(typed_value("4", ValueType::Number), ParameterValue(4.0));
+  EXPECT_EQ(typed_value("1e-05", ValueType::Number), ParameterValue(1e-5));
+  for (const auto type : {ValueType::Text, ValueType::Choice, ValueType::Unsaid}) {
+    EXPECT_EQ(typed_value("4", type), ParameterValue(std::string("4")));
+  }
+  // Whoever says so: it is not what it is said to be.
+  EXPECT_EQ(typed_value("4x", ValueType::Integer), ParameterValue(std::string("4x")));
+  EXPECT_EQ(typed_value("nan", ValueType::Number), ParameterValue(std::string("nan")));
+  EXPECT_EQ(typed_value("4", ValueType::Boolean), ParameterValue(std::string("4")));
+  EXPECT_EQ(typed_value("4", static_cast<ValueType>(99)), ParameterValue(std::string("4")));
 }
 
 TEST(ParametersTest, AReportGoesThroughJsonWhole) {

@@ -2,6 +2,7 @@
 
 #include <fstream>
 #include <nlohmann/json.hpp>
+#include <sstream>
 
 #include "../bus/bus_fixture.h"
 #include "child_process.h"
@@ -55,8 +56,28 @@ TEST_F(ParamVerb, ListsGetsAndSets) {
   EXPECT_EQ(run({"get", "test-1", "rate_hz"}), "8.5\n");
   EXPECT_EQ(run({"set", "test", "rate_hz", "8.5"}), "test-1.rate_hz = 8.5 (was 8.5)\n") << "by kind, and once more";
   const auto json = nlohmann::json::parse(run({"set", "test", "number", "9", "--json"}));
-  EXPECT_EQ(json.at("value"), "9");
-  EXPECT_EQ(json.at("before"), "7");
+  EXPECT_EQ(json.at("value"), 9);
+  EXPECT_EQ(json.at("before"), 7);
+}
+
+TEST_F(ParamVerb, JsonHasValuesOfTheDeclaredTypes) {
+  using nlohmann::json;
+  start("test-1");
+  const auto value = [&](const char* key) { return json::parse(run({"get", "test-1", key, "--json"})).at("value"); };
+  EXPECT_TRUE(value("number").is_number_integer());
+  EXPECT_EQ(value("fail"), false);
+  EXPECT_EQ(value("rate_hz"), 5);
+  EXPECT_TRUE(value("rate_hz").is_number_float()) << "a number, though it reads like a whole one";
+  EXPECT_EQ(value("fixed"), "a");
+  run({"set", "test-1", "number", "8"});
+  std::istringstream lines(run({"list", "test-1", "--json"}));
+  std::map<std::string, json> listed;
+  for (std::string line; std::getline(lines, line);) {
+    const json one = json::parse(line);
+    listed[one.at("name")] = one;
+  }
+  EXPECT_EQ(listed.at("number").at("value"), 8);
+  EXPECT_EQ(listed.at("fail").at("value"), false);
 }
 
 TEST_F(ParamVerb, RefusalsAreTheServicesOwnAndTheNearestNames) {
