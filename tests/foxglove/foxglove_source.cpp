@@ -24,9 +24,11 @@ constexpr std::uint32_t kWidth = 64, kHeight = 48;
 struct Options {
   double rate = 0.25;
   bool shown = true;
+  std::string label = "7";
   void bind(bus::ParameterBinder& p) {
     p.add("rate", rate, "a number", {0, 1});
     p.add("shown", shown, "a switch");
+    p.add("label", label, "a text that reads like a number");
   }
 };
 

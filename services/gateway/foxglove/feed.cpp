@@ -2,7 +2,6 @@
 
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
-#include <time.h>
 
 #include <algorithm>
 #include <array>
@@ -12,6 +11,7 @@
 
 #include "bus/clock.h"
 #include "bus/frames.h"
+#include "bus/service.h"
 #include "gateway/foxglove/convert.h"
 #include "gateway/foxglove/point_sample.h"
 #include "wire/capture_generated.h"
@@ -29,18 +29,17 @@ constexpr std::size_t kMaxSources = 96, kMaxHeld = 128, kMessagesATurn = 256, kM
 constexpr std::int64_t kTurnNs = 50'000'000, kTimeEveryNs = 100'000'000;
 constexpr std::chrono::milliseconds kConnect(2000);
 /// Read while anybody is there: what there is to subscribe to, and parameters.
-constexpr std::array kAlways{topics::kTopics.name, topics::kHeartbeat.name, topics::kLog.name,
+constexpr std::array kAlways{topics::kTopics.name, topics::kHeartbeat.name, topics::kLiveness.name, topics::kLog.name,
                              topics::kEngineCameras.name};
-
-std::int64_t utc_offset() {
-  timespec now{};
-  ::clock_gettime(CLOCK_REALTIME, &now);
-  return now.tv_sec * 1'000'000'000 + now.tv_nsec - bus::now_ns();
-}
 
 std::optional<std::string> latch_key(const bus::Message& message) {
   if (!message.header().latch()) return std::nullopt;
   return message.header().latch_key() != nullptr ? message.header().latch_key()->str() : std::string();
+}
+
+/// Who stands by is what it succeeds from its takeover on, and nobody's to set before.
+bool is_successor(const std::string& source) {
+  return source.ends_with(bus::successor_name(""));
 }
 
 /// Topics of the bus that a channel is made of; none for one that is a topic itself, or made of the model.
@@ -72,7 +71,7 @@ std::vector<Offer> fixed_offers() {
 }  // namespace
 
 Feed::Feed(std::shared_ptr<bus::Context> context, Hub& hub, const Options& options)
-    : context_(std::move(context)), hub_(hub), options_(options), utc_offset_ns_(utc_offset()), publisher_(context_) {
+    : context_(std::move(context)), hub_(hub), options_(options), publisher_(context_) {
   hub_.offer(Hub::Kind::Fixed, fixed_offers());
   hub_.on_set([this](const std::string& source, const NamedValues& changes) {
     const std::string topic = "control/" + source;
@@ -94,6 +93,7 @@ void Feed::run(const std::stop_token& stop) {
       wanted_.clear();
       numbers_.clear();
       scene_.reset();
+      hub_.forget();
     } catch (const std::exception& error) {
       if (log_limiter_.allow()) spdlog::error("foxglove: {}", error.what());
       std::this_thread::sleep_for(std::chrono::nanoseconds(kTurnNs));
@@ -172,6 +172,7 @@ void Feed::receive(Source& source) {
     bus::guarded(*message, [&] {
       if (topic == topics::kTopics.name) take_topics(message->root<wire::Topics>());
       if (topic == topics::kHeartbeat.name) take_heartbeat(message->root<wire::Heartbeat>());
+      if (topic == topics::kLiveness.name) take_liveness(message->root<wire::Liveness>());
     });
     take(*message, wanted_);
   }
@@ -222,14 +223,26 @@ void Feed::take_topics(const wire::Topics& topics) {
 }
 
 void Feed::take_heartbeat(const wire::Heartbeat& heartbeat) {
-  NamedValues parameters;
+  const std::string source = heartbeat.header()->source()->str();
+  if (is_successor(source)) return;
+  NamedParameters parameters;
   if (heartbeat.parameters() != nullptr) {
     for (const auto* one : *heartbeat.parameters()) {
-      parameters.emplace_back(bus::printable(one->key()->string_view()),
-                              bus::printable(one->value()->string_view(), kMaxText));
+      parameters.push_back({bus::printable(one->key()->string_view()),
+                            bus::printable(one->value()->string_view(), kMaxText), one->type()});
     }
   }
-  hub_.heard(heartbeat.header()->source()->str(), parameters);
+  hub_.heard(source, parameters, bus::now_ns());
+}
+
+void Feed::take_liveness(const wire::Liveness& liveness) {
+  std::map<std::string, bool> sources;
+  if (liveness.nodes() != nullptr) {
+    for (const auto* node : *liveness.nodes()) {
+      if (!is_successor(node->source()->str())) sources[node->source()->str()] = node->alive();
+    }
+  }
+  hub_.listed(sources, bus::now_ns());
 }
 
 void Feed::take_log(const bus::Message& message) {
@@ -241,11 +254,7 @@ void Feed::take_log(const bus::Message& message) {
   hub_.deliver(std::string(kLog), time_of(message), log_line(level, source, text, time_of(message)));
 }
 
-std::uint64_t Feed::utc(std::int64_t monotonic_ns) const {
-  return static_cast<std::uint64_t>(std::max<std::int64_t>(0, monotonic_ns + utc_offset_ns_));
-}
-
-std::uint64_t Feed::time_of(const bus::Message& message) const {
+std::uint64_t Feed::time_of(const bus::Message& message) {
   const std::int64_t captured = message.header().capture_ns();
   return utc(captured > 0 ? captured : message.header().publish_ns());
 }

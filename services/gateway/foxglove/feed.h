@@ -17,6 +17,7 @@
 #include "bus/publisher.h"
 #include "bus/subscriber.h"
 #include "gateway/foxglove/hub.h"
+#include "gateway/foxglove/utc_clock.h"
 #include "gateway/parameters.h"
 #include "model/live_scene.h"
 
@@ -59,6 +60,7 @@ class Feed {
   void take_as_it_is(const bus::Message& message);
   void take_topics(const wire::Topics& topics);
   void take_heartbeat(const wire::Heartbeat& heartbeat);
+  void take_liveness(const wire::Liveness& liveness);
   void take_log(const bus::Message& message);
   /// Sets of cameras by one who asks for them no longer go.
   void follow_asker(const bus::Message& message, Source& source);
@@ -73,21 +75,22 @@ class Feed {
   void deliver_picture(const std::string& topic, std::uint64_t time, Payload payload);
   void send_points(std::int64_t now_ns);
   /// Of the message's origin.
-  [[nodiscard]] std::uint64_t time_of(const bus::Message& message) const;
-  [[nodiscard]] std::uint64_t utc(std::int64_t monotonic_ns) const;
+  [[nodiscard]] std::uint64_t time_of(const bus::Message& message);
+  [[nodiscard]] std::uint64_t utc(std::int64_t monotonic_ns) { return clock_.utc(monotonic_ns); }
 
   std::shared_ptr<bus::Context> context_;
   Hub& hub_;
   const Options& options_;
-  const std::int64_t utc_offset_ns_;
+  UtcClock clock_;
   bus::Publisher publisher_;
   std::map<std::string, Source> sources_;             ///< by topic
   Hub::Wanted numbers_;                               ///< of what is wanted
   Channels wanted_;                                   ///< the same without numbers
   std::map<std::string, std::string> schemas_;        ///< Header.schema of each topic of the bus that is offered
-  Channels cameras_;                                  ///< names of those that are offered
+  using Cameras = std::map<std::string, CameraRole>;  ///< by name
+  Cameras cameras_;                                   ///< that are offered
   std::pair<std::string, std::uint64_t> cameras_by_;  ///< who has asked for them: source and epoch
-  std::map<std::string, Channels> cameras_of_;        ///< by the engine that is asked; "": all are
+  std::map<std::string, Cameras> cameras_of_;         ///< by the engine that is asked; "": all are
   std::map<std::string, std::int64_t> next_picture_ns_;
   std::optional<LiveScene> scene_;
   std::int64_t next_points_ns_ = 0, next_time_ns_ = 0;

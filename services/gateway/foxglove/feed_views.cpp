@@ -35,13 +35,14 @@ std::string depth_topic(const std::string& camera) {
   return fmt::format("foxglove/cameras/{}/depth", camera);
 }
 
-std::vector<Offer> offers_of(const std::set<std::string>& cameras) {
+std::vector<Offer> offers_of(const std::map<std::string, CameraRole>& cameras) {
   const auto calibration = wire::foxglove_schema("foxglove.CameraCalibration");
   const auto picture = wire::foxglove_schema("foxglove.CompressedImage");
   const auto depth = wire::foxglove_schema("foxglove.RawImage");
   std::vector<Offer> offers;
-  for (const std::string& camera : cameras) {
+  for (const auto& [camera, role] : cameras) {
     offers.push_back({calibration_topic(camera), std::string(calibration.table), calibration.binary, {}});
+    if (role != CameraRole::Reference) continue;  // the bridge makes samples of the others' pictures
     offers.push_back({picture_topic(camera), std::string(picture.table), picture.binary, {}});
     offers.push_back({depth_topic(camera), std::string(depth.table), depth.binary, {}});
   }
@@ -68,19 +69,19 @@ void Feed::take_cameras(const bus::Message& message, const Channels& channels) {
       if (cameras.size() < kMaxCameras) cameras.emplace(camera_name(camera), camera);
     }
   }
-  Channels names;
-  for (const auto& [name, camera] : cameras) names.insert(name);
+  Cameras roles;
+  for (const auto& [name, camera] : cameras) roles.emplace(name, camera.role);
   const auto* key = message.header().latch_key();
   const std::string engine = key == nullptr ? std::string() : bus::printable(key->string_view());
-  if (names.empty()) {
+  if (roles.empty()) {
     cameras_of_.erase(engine);
   } else if (cameras_of_.contains(engine) || cameras_of_.size() < kMaxEngines) {
-    cameras_of_[engine] = std::move(names);
+    cameras_of_[engine] = std::move(roles);
   }
-  Channels all;
+  Cameras all;
   for (const auto& [asked, of_engine] : cameras_of_) {
-    for (const std::string& name : of_engine) {
-      if (all.size() < kMaxCameras) all.insert(name);
+    for (const auto& one : of_engine) {
+      if (all.size() < kMaxCameras) all.insert(one);
     }
   }
   if (all != cameras_) hub_.offer(Hub::Kind::Cameras, offers_of(all));

@@ -41,7 +41,6 @@ void Hub::leave(ClientId id) {
   dropped_before_ += found->second.outbox.dropped();
   for (const auto& [subscription, channel] : found->second.subscriptions) drop(channels_.at(topic_of_.at(channel)));
   clients_.erase(found);
-  if (clients_.empty()) board_.clear();
 }
 
 void Hub::leave_all() {
@@ -126,7 +125,7 @@ Hub::Reception Hub::receive(ClientId id, std::span<const std::uint8_t> bytes, bo
       send_graphs();
       break;
     case Operation::GetParameters:
-      send(client, parameter_values(board_.values(message.names), message.request_id));
+      get(client, message, now_ns);
       break;
     case Operation::SetParameters:
       return set(client, message, rights, now_ns);
@@ -203,6 +202,11 @@ std::optional<Hub::Wanted> Hub::wanted() const {
     if (known.subscribers > 0) topics.emplace(topic, known.wanted);
   }
   return topics;
+}
+
+void Hub::forget() {
+  const std::scoped_lock lock(mutex_);
+  board_.clear();
 }
 
 std::vector<Channel> Hub::offered() const {

@@ -75,6 +75,8 @@ class Hub {
   /// while; nullopt when nobody is there.
   using Wanted = std::map<std::string, std::uint64_t>;
   [[nodiscard]] std::optional<Wanted> wanted() const;
+  /// Nothing is read from the bus any more: what has been heard() and listed() grows old.
+  void forget();
   /// Which channels there are of one kind; those of that kind that are not named are gone.
   enum class Kind : std::uint8_t { Bus, Fixed, Cameras };
   void offer(Kind kind, const std::vector<Offer>& offers);
@@ -83,7 +85,9 @@ class Hub {
   void deliver(const std::string& topic, std::uint64_t time_ns, Payload payload,
                const std::optional<std::string>& keep = {});
   void tell_time(std::uint64_t time_ns);
-  void heard(const std::string& source, const NamedValues& parameters);
+  void heard(const std::string& source, const NamedParameters& parameters, std::int64_t now_ns);
+  /// By source, whether it is alive, as the broker lists them.
+  void listed(const std::map<std::string, bool>& sources, std::int64_t now_ns);
   /// An error that a service has logged: perhaps why it did not set a parameter.
   void logged_error(const std::string& source, const std::string& text);
   void expire(std::int64_t now_ns);
@@ -96,6 +100,12 @@ class Hub {
     std::map<std::string, std::string> open;  ///< by name, the value that was asked for
     std::int64_t until_ns = 0;
   };
+  /// A getParameters of before the services had been heard.
+  struct Question {
+    std::vector<std::string> names;
+    std::optional<std::string> request_id;
+    std::int64_t until_ns = 0;
+  };
   struct Client {
     std::function<void()> wake;
     Outbox outbox;
@@ -103,6 +113,7 @@ class Hub {
     std::set<std::string> parameters;
     bool all_parameters = false, graph = false, woken = false, reads = true;
     std::vector<Setting> settings;
+    std::vector<Question> questions;
     std::uint64_t dropped_said = 0;
     std::int64_t said_ns = 0;
   };
@@ -129,6 +140,9 @@ class Hub {
   [[nodiscard]] Reception set(Client& client, const ClientMessage& message, const bus::Rights& rights,
                               std::int64_t now_ns);
   void close_settings(Client& client);
+  void get(Client& client, const ClientMessage& message, std::int64_t now_ns);
+  void answer_questions(Client& client, std::int64_t now_ns);
+  void tell_changed(const NamedParameters& changed);
   void say_dropped(Client& client, std::int64_t now_ns);
   void send_graph(Client& client, const std::vector<std::string>& removed = {});
   void send_graphs(const std::vector<std::string>& removed = {});

@@ -10,10 +10,28 @@ namespace splatbus::gateway::foxglove {
 
 namespace {
 
-constexpr std::size_t kMaxSettings = 64;
+constexpr std::size_t kMaxSettings = 64, kMaxQuestions = 16;
 constexpr std::int64_t kPatienceNs = 5'000'000'000;
+// The bus says within a moment who is there, and each of these five times a second what it has.
+constexpr std::int64_t kFirstWordsNs = 2'000'000'000;
 
 }  // namespace
+
+void Hub::get(Client& client, const ClientMessage& message, std::int64_t now_ns) {
+  if (!board_.complete() && client.questions.size() < kMaxQuestions) {
+    client.questions.push_back({message.names, message.request_id, now_ns + kFirstWordsNs});
+  } else {
+    send(client, parameter_values(board_.values(message.names), message.request_id));
+  }
+}
+
+void Hub::answer_questions(Client& client, std::int64_t now_ns) {
+  std::erase_if(client.questions, [&](const Question& question) {
+    if (!board_.complete() && now_ns < question.until_ns) return false;
+    send(client, parameter_values(board_.values(question.names), question.request_id));
+    return true;
+  });
+}
 
 Hub::Reception Hub::set(Client& client, const ClientMessage& message, const bus::Rights& rights, std::int64_t now_ns) {
   if (!rights.control) {
@@ -54,23 +72,42 @@ void Hub::close_settings(Client& client) {
       return known == nullptr || same_value(known->value, asked.second);
     });
     if (setting.open.empty() && setting.request_id) {
-      send(client,
-           parameter_values(setting.names.empty() ? NamedValues{} : board_.values(setting.names), setting.request_id));
+      send(client, parameter_values(setting.names.empty() ? NamedParameters{} : board_.values(setting.names),
+                                    setting.request_id));
     }
   }
   std::erase_if(client.settings, [](const Setting& setting) { return setting.open.empty(); });
 }
 
-void Hub::heard(const std::string& source, const NamedValues& parameters) {
+void Hub::heard(const std::string& source, const NamedParameters& parameters, std::int64_t now_ns) {
   const std::scoped_lock lock(mutex_);
   if (clients_.empty()) return;
-  const NamedValues changed = board_.update(source, parameters);
+  tell_changed(board_.update(source, parameters, now_ns));
+  for (auto& [id, client] : clients_) answer_questions(client, now_ns);
+}
+
+void Hub::listed(const std::map<std::string, bool>& sources, std::int64_t now_ns) {
+  const std::scoped_lock lock(mutex_);
+  if (clients_.empty()) return;
+  const NamedParameters gone = board_.keep(sources, now_ns);
+  for (auto& [id, client] : clients_) {
+    for (const auto& one : gone) {
+      const bool waits = std::ranges::any_of(
+          client.settings, [name = &one.name](const Setting& setting) { return setting.open.contains(*name); });
+      if (waits) say(client, Level::Error, fmt::format("parameter '{}': its service has ended", one.name));
+    }
+  }
+  tell_changed(gone);
+  for (auto& [id, client] : clients_) answer_questions(client, now_ns);
+}
+
+void Hub::tell_changed(const NamedParameters& changed) {
   if (changed.empty()) return;
   for (auto& [id, client] : clients_) {
     close_settings(client);
-    NamedValues told;
+    NamedParameters told;
     for (const auto& one : changed) {
-      if (client.all_parameters || client.parameters.contains(one.first)) told.push_back(one);
+      if (client.all_parameters || client.parameters.contains(one.name)) told.push_back(one);
     }
     if (!told.empty()) send(client, parameter_values(told));
   }
@@ -105,6 +142,7 @@ void Hub::expire(std::int64_t now_ns) {
       setting.open.clear();
     }
     close_settings(client);
+    answer_questions(client, now_ns);
     say_dropped(client, now_ns);
   }
 }

@@ -6,6 +6,10 @@
 #include <cmath>
 #include <limits>
 #include <nlohmann/json.hpp>
+#include <variant>
+
+#include "bus/parameter_json.h"
+#include "wire/system_generated.h"
 
 namespace splatbus::gateway::foxglove {
 
@@ -92,7 +96,7 @@ std::optional<std::string> value_for_bus(const Json& value) {
   return value.dump();
 }
 
-Json value_for_client(const std::string& text) {
+Json guessed_value(const std::string& text) {
   if (text == "true") return true;
   if (text == "false") return false;
   const char* const end = text.data() + text.size();
@@ -106,6 +110,11 @@ Json value_for_client(const std::string& text) {
     return number;
   }
   return text;
+}
+
+Json value_for_client(const std::string& text, wire::ValueType type) {
+  if (type == wire::ValueType::Unsaid) return guessed_value(text);
+  return std::visit([](const auto& value) { return Json(value); }, bus::typed_value(text, type));
 }
 
 void read_fields(const Json& json, const std::string& name, ClientMessage& message, Reader& read) {
@@ -212,12 +221,12 @@ OutgoingMessage status(Level level, const std::string& message, const std::strin
   return text_message(json);
 }
 
-OutgoingMessage parameter_values(const std::vector<std::pair<std::string, std::string>>& values,
-                                 const std::optional<std::string>& request_id) {
+OutgoingMessage parameter_values(const NamedParameters& values, const std::optional<std::string>& request_id) {
   Json list = Json::array();
-  for (const auto& [name, value] : values) {
-    Json parameter{{"name", name}, {"value", value_for_client(value)}};
-    if (parameter["value"].is_number_float()) parameter["type"] = "float64";
+  for (const auto& [name, value, type] : values) {
+    Json parameter{{"name", name}};
+    if (value) parameter["value"] = value_for_client(*value, type);
+    if (value && parameter["value"].is_number_float()) parameter["type"] = "float64";
     list.push_back(std::move(parameter));
   }
   Json json{{"op", "parameterValues"}, {"parameters", std::move(list)}};

@@ -9,6 +9,10 @@
 #include <utility>
 #include <vector>
 
+namespace splatbus::wire {
+enum class ValueType : std::uint8_t;
+}
+
 namespace splatbus::gateway::foxglove {
 
 // Foxglove's WebSocket protocol, version 1. Its two subprotocols have the same messages as far as they are spoken here.
@@ -31,6 +35,14 @@ struct Channel {
   std::string topic, encoding = "flatbuffer", schema_name;
   std::span<const std::uint8_t> schema;  ///< as the schema encoding "flatbuffer" has it; lives as long as the program
 };
+
+/// A parameter's value as the bus writes it, and the type that its service declares.
+struct NamedParameter {
+  std::string name;
+  std::optional<std::string> value;  ///< none: it is no longer there
+  wire::ValueType type{};
+};
+using NamedParameters = std::vector<NamedParameter>;
 
 /// As a parameter's value has come from a client: what the bus would write, or nothing where the bus has no such type.
 struct ParameterSetting {
@@ -75,8 +87,9 @@ enum class Level : std::uint8_t { Info, Warning, Error };
 [[nodiscard]] OutgoingMessage advertise(const std::vector<Channel>& channels);
 [[nodiscard]] OutgoingMessage unadvertise(const std::vector<std::uint32_t>& channel_ids);
 [[nodiscard]] OutgoingMessage status(Level level, const std::string& message, const std::string& id = {});
-/// `values`: name and value as the bus writes it, which is a number or a boolean where it reads like one.
-[[nodiscard]] OutgoingMessage parameter_values(const std::vector<std::pair<std::string, std::string>>& values,
+/// Each value is of its declared type. Where the service has said none, it is a number or a boolean where it reads like
+/// one.
+[[nodiscard]] OutgoingMessage parameter_values(const NamedParameters& values,
                                                const std::optional<std::string>& request_id = {});
 /// Topics with those who publish, or subscribe to, them.
 using Endpoints = std::vector<std::pair<std::string, std::vector<std::string>>>;

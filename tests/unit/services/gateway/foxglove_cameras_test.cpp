@@ -19,13 +19,14 @@ class FoxgloveCameras : public GatewayTest {
   FoxgloveCameras() : service_(connect("gateway"), options_), client_(service_.hub().join([] {})) {}
 
   /// Names one set, `engine` "" all of them.
-  static void ask(const bus::Publisher& bridge, const std::string& engine, const std::vector<std::uint32_t>& ids) {
+  static void ask(const bus::Publisher& bridge, const std::string& engine, const std::vector<std::uint32_t>& ids,
+                  CameraRole role = CameraRole::Reference) {
     const bus::MessageInfo info{.latch_key = engine};
     bridge.publish(topics::kEngineCameras, info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
       std::vector<flatbuffers::Offset<wire::CameraRequest>> requests;
       for (const std::uint32_t id : ids) {
         Camera camera = look_at({1, 2, 3}, {0, 0, 0}, 64, 48, 1);
-        camera.role = CameraRole::Reference;
+        camera.role = role;
         camera.id = id;
         const wire::Camera out = to_wire(camera);
         requests.push_back(wire::CreateCameraRequest(builder, &out, wire::EngineBuffer::Color, 0, id + 1));
@@ -50,6 +51,18 @@ class FoxgloveCameras : public GatewayTest {
     }
     return shown_;
   }
+  /// The topics that it is told of, as it is now.
+  std::set<std::string> topics() {
+    std::set<std::string> all;
+    const auto late = service_.hub().join([] {});
+    while (const auto message = service_.hub().take(late)) {
+      const json said = message->binary ? json::object() : json::parse(message->head);
+      if (said.value("op", "") != "advertise") continue;
+      for (const json& channel : said["channels"]) all.insert(channel["topic"].get<std::string>());
+    }
+    service_.hub().leave(late);
+    return all;
+  }
   bool show(std::size_t count) {
     return bus_test::eventually([&] { return shown().size() == count; });
   }
@@ -59,6 +72,21 @@ class FoxgloveCameras : public GatewayTest {
   gateway::foxglove::Hub::ClientId client_;
   std::set<std::uint32_t> shown_;
 };
+
+TEST_F(FoxgloveCameras, HavePicturesWhereSomebodyPublishesThem) {
+  const bus::Publisher bridge(connect("bridge"));
+  ask(bridge, "engine-1", {1}, CameraRole::Input);
+  ask(bridge, "engine-2", {2});
+  EXPECT_TRUE(show(1));
+  const auto all = topics();
+  for (const char* name :
+       {"input-1/calibration", "reference-2/calibration", "reference-2/picture", "reference-2/depth"}) {
+    EXPECT_TRUE(all.contains(std::string("foxglove/cameras/") + name)) << name;
+  }
+  for (const char* name : {"input-1/picture", "input-1/depth"}) {
+    EXPECT_FALSE(all.contains(std::string("foxglove/cameras/") + name)) << name;
+  }
+}
 
 TEST_F(FoxgloveCameras, AreThoseOfTheBridgeThatAsksNowAndOfNoneBefore) {
   const bus::Publisher first(connect("first"));

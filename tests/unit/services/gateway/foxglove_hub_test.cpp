@@ -5,6 +5,7 @@
 #include <nlohmann/json.hpp>
 
 #include "gateway/foxglove/hub.h"
+#include "wire/system_generated.h"
 
 namespace splatbus::gateway::foxglove {
 namespace {
@@ -37,8 +38,10 @@ class HubTest : public testing::Test {
     return hub_.receive(client.id, {reinterpret_cast<const std::uint8_t*>(text.data()), text.size()}, binary, rights,
                         now_ns, asset_);
   }
+  /// To a bus with nobody on it.
   void join(Client& client) {
     client.id = hub_.join([&client] { ++client.woken; });
+    hub_.listed({}, 0);
   }
   /// All that waits for it: texts as JSON, binary ones as {"data": payload, "head": bytes}.
   std::vector<json> read(const Client& client) {
@@ -274,19 +277,40 @@ class HubParameters : public HubTest {
     hub_.on_set(
         [this](const std::string& source, const NamedValues& changes) { asked_.emplace_back(source, changes); });
     join(client_);
-    hub_.heard("trainer", values_);
+    hub_.heard("trainer", values_, 0);
     read(client_);
+  }
+  void ask(const Client& client, const std::vector<std::string>& names = {}, std::int64_t now_ns = 0) {
+    say(client, {{"op", "getParameters"}, {"parameterNames", names}, {"id", "g"}}, kControls, now_ns);
   }
   Hub::Reception set(const json& value, const std::string& key = "rate", const bus::Rights& rights = kControls) {
     return say(client_,
                {{"op", "setParameters"}, {"id", "s"}, {"parameters", {{{"name", "trainer/" + key}, {"value", value}}}}},
                rights);
   }
-  NamedValues values_{{"rate", "0.25"}, {"paused", "false"}, {"views", "4"}, {"mode", "fast"}};
+  NamedParameters values_{{"rate", "0.25"}, {"paused", "false"}, {"views", "4"}, {"mode", "fast"}};
   std::vector<std::pair<std::string, NamedValues>> asked_;
 };
 
-TEST_F(HubParameters, AreTypedByWhatTheyReadLike) {
+TEST_F(HubParameters, AreOfTheTypeThatIsDeclared) {
+  using wire::ValueType;
+  hub_.heard("engine",
+             {{"night", "true", ValueType::Text},
+              {"lamps", "4", ValueType::Integer},
+              {"name", "7", ValueType::Choice},
+              {"scale", "2", ValueType::Number},
+              {"shown", "true", ValueType::Boolean}},
+             0);
+  ask(client_, {"engine/night", "engine/lamps", "engine/name", "engine/scale", "engine/shown"});
+  EXPECT_EQ(read(client_, "parameterValues")[0]["parameters"],
+            json({{{"name", "engine/night"}, {"value", "true"}},
+                  {{"name", "engine/lamps"}, {"value", 4}},
+                  {{"name", "engine/name"}, {"value", "7"}},
+                  {{"name", "engine/scale"}, {"value", 2.0}, {"type", "float64"}},
+                  {{"name", "engine/shown"}, {"value", true}}}));
+}
+
+TEST_F(HubParameters, OfNoDeclaredTypeAreTypedByWhatTheyReadLike) {
   say(client_, {{"op", "getParameters"}, {"parameterNames", json::array()}, {"id", "g"}});
   const auto got = read(client_, "parameterValues");
   ASSERT_EQ(got.size(), 1U);
@@ -303,10 +327,10 @@ TEST_F(HubParameters, ASettingIsAnsweredWhenTheServiceSaysIt) {
   EXPECT_EQ(set(0.5), Hub::Reception::Understood);
   EXPECT_THAT(asked_, ElementsAre(Pair("trainer", ElementsAre(Pair("rate", "0.5")))));
   EXPECT_THAT(read(client_), IsEmpty());
-  hub_.heard("trainer", values_);
+  hub_.heard("trainer", values_, 0);
   EXPECT_THAT(read(client_), IsEmpty()) << "a heartbeat from before";
-  values_[0].second = "0.500000001";  // a float's
-  hub_.heard("trainer", values_);
+  values_[0].value = "0.500000001";  // a float's
+  hub_.heard("trainer", values_, 0);
   const auto got = read(client_);
   ASSERT_EQ(got.size(), 1U);
   EXPECT_EQ(got[0]["id"], "s");
@@ -357,17 +381,87 @@ TEST_F(HubParameters, ChangesAreToldToThoseWhoAskedForThem) {
   read(other_);
   say(client_, {{"op", "subscribeParameterUpdates"}, {"parameterNames", {"trainer/rate"}}});
   say(other_, {{"op", "subscribeParameterUpdates"}, {"parameterNames", json::array()}});
-  values_[0].second = "0.3";
-  values_[3].second = "slow";
-  hub_.heard("trainer", values_);
+  values_[0].value = "0.3";
+  values_[3].value = "slow";
+  hub_.heard("trainer", values_, 0);
   EXPECT_EQ(read(client_)[0]["parameters"].size(), 1U);
   EXPECT_EQ(read(other_)[0]["parameters"].size(), 2U);
-  hub_.heard("trainer", values_);
+  hub_.heard("trainer", values_, 0);
   EXPECT_THAT(read(other_), IsEmpty());
   say(client_, {{"op", "unsubscribeParameterUpdates"}, {"parameterNames", {"trainer/rate"}}});
-  values_[0].second = "0.4";
-  hub_.heard("trainer", values_);
+  values_[0].value = "0.4";
+  hub_.heard("trainer", values_, 0);
   EXPECT_THAT(read(client_), IsEmpty());
+}
+
+// Foxglove asks once, as soon as it is connected.
+TEST_F(HubParameters, AQuestionWaitsUntilAllWhoAreThereHaveSpoken) {
+  hub_.forget();
+  ask(client_);
+  EXPECT_THAT(read(client_), IsEmpty());
+  hub_.heard("trainer", {{"rate", "0.25"}}, 0);
+  EXPECT_THAT(read(client_), IsEmpty()) << "who else is there is not known yet";
+  hub_.listed({{"trainer", true}, {"relight", true}, {"viewer", false}}, 0);
+  EXPECT_THAT(read(client_), IsEmpty());
+  hub_.heard("relight", {{"softness_m", "0.1"}}, 0);
+  const auto got = read(client_);
+  ASSERT_EQ(got.size(), 1U);
+  EXPECT_EQ(got[0]["id"], "g");
+  EXPECT_EQ(got[0]["parameters"].size(), 2U);
+  hub_.listed({{"trainer", true}, {"relight", true}, {"new", true}}, 0);
+  ask(client_);
+  EXPECT_EQ(read(client_).size(), 1U) << "whoever comes later is told of by updates";
+}
+
+TEST_F(HubParameters, AQuestionIsAnsweredWhoeverKeepsSilent) {
+  hub_.forget();
+  ask(client_, {}, 1'000'000'000);
+  hub_.heard("trainer", values_, 1'000'000'000);
+  hub_.listed({{"trainer", true}, {"silent", true}}, 1'000'000'000);
+  hub_.expire(2'900'000'000);
+  EXPECT_THAT(read(client_), IsEmpty());
+  hub_.expire(3'000'000'000);
+  const auto got = read(client_);
+  ASSERT_EQ(got.size(), 1U);
+  EXPECT_EQ(got[0]["parameters"].size(), values_.size());
+}
+
+TEST_F(HubParameters, ThoseOfAServiceThatHasEndedAreTakenOff) {
+  say(client_, {{"op", "subscribeParameterUpdates"}, {"parameterNames", json::array()}});
+  hub_.heard("streamer-2", {{"join_kbps", "50"}}, 0);
+  hub_.listed({{"trainer", true}, {"streamer-2", true}}, 0);
+  read(client_);
+  set(0.5);
+  hub_.listed({{"trainer", true}, {"streamer-2", false}}, 0);
+  auto got = read(client_);
+  ASSERT_EQ(got.size(), 1U);
+  EXPECT_EQ(got[0]["parameters"], json::parse(R"([{"name": "streamer-2/join_kbps"}])")) << "without a value";
+  ask(client_, {"streamer-2/join_kbps"});
+  EXPECT_THAT(read(client_)[0]["parameters"], IsEmpty());
+  say(client_, {{"op", "setParameters"}, {"parameters", {{{"name", "streamer-2/join_kbps"}, {"value", 1}}}}});
+  EXPECT_THAT(read(client_, "status")[0]["message"], HasSubstr("no parameter"));
+  hub_.listed({{"trainer", false}}, 0);
+  got = read(client_);
+  ASSERT_EQ(got.size(), 3U);
+  EXPECT_THAT(got[0]["message"], HasSubstr("trainer/rate': its service has ended")) << "what had been asked of it";
+  EXPECT_EQ(got[1]["id"], "s");
+}
+
+TEST_F(HubParameters, ThoseOfWhoIsNotListedStayForAsLongAsABrokerNeedsToHearAll) {
+  hub_.heard("trainer", values_, 5'000'000'000);
+  hub_.listed({}, 8'000'000'000);
+  ask(client_);
+  EXPECT_EQ(read(client_)[0]["parameters"].size(), values_.size());
+  hub_.listed({}, 8'000'000'001);
+  ask(client_);
+  EXPECT_THAT(read(client_)[0]["parameters"], IsEmpty());
+}
+
+TEST_F(HubParameters, WhatAServiceNoLongerHasIsTakenOff) {
+  values_.pop_back();
+  hub_.heard("trainer", values_, 0);
+  ask(client_, {"trainer/mode"});
+  EXPECT_THAT(read(client_)[0]["parameters"], IsEmpty());
 }
 
 }  // namespace
