@@ -9,6 +9,8 @@
 #include <vector>
 
 #include "bus/clock.h"
+#include "bus/heartbeat_limits.h"
+#include "bus/parameter_json.h"
 #include "bus/service.h"
 #include "bus/trace.h"
 #include "wire/trace_generated.h"
@@ -136,9 +138,12 @@ void HeartbeatThread::beat(wire::ServiceState state) {
     }
     std::vector<flatbuffers::Offset<wire::KeyValue>> parameter_offsets;
     const auto parameters = service_.parameters.list();
+    const std::vector<ParameterSpec>& specs = service_.parameters.specs();
     parameter_offsets.reserve(parameters.size());
-    for (const auto& [name, value] : parameters) {
-      parameter_offsets.push_back(wire::CreateKeyValueDirect(builder, name.c_str(), value.c_str()));
+    for (std::size_t i = 0; i < parameters.size(); ++i) {
+      const auto& [name, value] = parameters[i];
+      parameter_offsets.push_back(
+          wire::CreateKeyValueDirect(builder, name.c_str(), value.c_str(), value_type(specs[i])));
     }
     return wire::CreateHeartbeatDirect(builder, header, kind_.c_str(), static_cast<std::uint32_t>(::getpid()), state,
                                        detail.c_str(), &counter_offsets, &parameter_offsets, name_of(service_.backend),
