@@ -8,6 +8,7 @@
 #include <string>
 #include <string_view>
 #include <thread>
+#include <vector>
 #include <zmq.hpp>
 
 #include "bus/log_sink.h"
@@ -29,6 +30,9 @@ struct ConnectionLimits {
   double silence_s = 0;         ///< from one message to the next
   double stalled_s = 0;         ///< with bytes to send, and less than `min_sent_per_s` of them sent
   double min_sent_per_s = 1e4;  ///< bytes
+  /// Where others wait (make_room()): with bytes to send all the time for `held_s`, fewer than `held_min_per_s` of them
+  /// sent a second; or for `held_most_s`.
+  double held_s = 0, held_min_per_s = 0, held_most_s = 0;
 };
 
 /// Bounds what tcp peers can take through a bound ZeroMQ socket, where libzmq has no setting for it: it counts whole
@@ -49,6 +53,10 @@ class ConnectionGuard {
   /// Shuts down the connection that a message came by.
   void close(const zmq::message_t& frame, const std::string& why);
 
+  /// There is no room to send something to these connections. Where one of them has taken all that it was sent, those
+  /// connections that hold too much for too long are shut down.
+  void make_room(const std::vector<int>& for_descriptors);
+
   /// From the guard's thread, about every second, with the key of each connection that has sent something: false shuts
   /// it down.
   void keep_only(std::function<bool(const std::string& key)> allowed);
@@ -63,9 +71,9 @@ class ConnectionGuard {
   struct Connection {
     std::uint64_t cookie = 0;  ///< the kernel's name for the connection: a descriptor's number is soon another's
     std::string address, key;
-    std::int64_t since_ns = 0, heard_ns = 0, sent_since_ns = 0;
+    std::int64_t since_ns = 0, heard_ns = 0, sent_since_ns = 0, behind_since_ns = 0;
     bool taken = false, taken_lately = false;
-    std::uint64_t received = 0, read = 0, acked = 0;
+    std::uint64_t received = 0, read = 0, acked = 0, acked_at_stall = 0, acked_when_behind = 0;
     TokenBucket bytes{0, 1};
     bool closing = false;
   };
@@ -75,6 +83,8 @@ class ConnectionGuard {
   /// Looks at all of them. Returns the bytes that came, and were not taken, by the one of which there are the most.
   std::uint64_t sweep(std::int64_t now);
   bool look(int fd, Connection& connection, std::int64_t now, std::string& why);
+  void look_at_sent(Connection& connection, std::uint64_t acked, bool behind, std::int64_t now, std::string& why) const;
+  [[nodiscard]] std::string holds_too_much(const Connection& connection, std::int64_t now) const;
   void shut(int fd, Connection& connection, const std::string& why);
 
   const ConnectionLimits limits_;
