@@ -192,6 +192,25 @@ TEST(LatchStore, ASourcesShareIsOfBytesToo) {
   EXPECT_EQ(store.bytes(), 41u);
 }
 
+TEST(LatchStore, ThoseThatAreFarDriveNobodyOutWhoIsNear) {
+  bus::LatchStore store(100, 10000, 0.5);
+  std::uint64_t order = 0;
+  const auto put = [&](const std::string& topic, const std::string& source, bool far) {
+    return store.put(topic, "", source, ++order, frames_of(1), 0, far);
+  };
+  for (int i = 0; i < 20; ++i) EXPECT_TRUE(put("scene/" + std::to_string(i), "engine", false).held);
+  // Many names with little each: the engine holds the most of all.
+  for (int i = 0; i < 500; ++i) put("far/" + std::to_string(i), "far" + std::to_string(i), true);
+  EXPECT_EQ(store.size(), 20U + 50U) << "all of them together have half";
+  for (int i = 0; i < 20; ++i) EXPECT_NE(store.find("scene/" + std::to_string(i), ""), nullptr) << i;
+  // And they make room.
+  for (int i = 20; i < 50; ++i) put("scene/" + std::to_string(i), "engine", false);
+  for (int i = 0; i < 40; ++i) put("model/" + std::to_string(i), "trainer", false);
+  EXPECT_EQ(store.size(), 100U);
+  for (int i = 0; i < 50; ++i) EXPECT_NE(store.find("scene/" + std::to_string(i), ""), nullptr) << i;
+  for (int i = 0; i < 40; ++i) EXPECT_NE(store.find("model/" + std::to_string(i), ""), nullptr) << i;
+}
+
 TEST(LatchStore, MatchesAPrefixOldestFirst) {
   bus::LatchStore store(10, 1000);
   store.put("x/b", "1", "s", 1, frames_of(1), 11);
