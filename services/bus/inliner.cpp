@@ -17,34 +17,11 @@ bool has_slab_tensors(const wire::Header& header) {
                      [](const wire::Tensor* tensor) { return tensor->span()->storage() != wire::Storage::Inline; });
 }
 
-namespace {
-
-/// Memory of a frame, counted for as long as ZeroMQ has it.
-struct Counted {
-  std::shared_ptr<std::atomic<std::size_t>> counter;
-  std::size_t bytes;
-  std::unique_ptr<std::byte[]> memory;
-};
-
-zmq::message_t counted_frame(std::size_t bytes, const std::shared_ptr<std::atomic<std::size_t>>& counter) {
-  if (bytes == 0) return zmq::message_t();
-  auto counted = std::make_unique<Counted>(Counted{counter, bytes, std::make_unique_for_overwrite<std::byte[]>(bytes)});
-  *counter += bytes;
-  std::byte* const memory = counted->memory.get();
-  const auto release = [](void*, void* hint) {
-    const std::unique_ptr<Counted> owned(static_cast<Counted*>(hint));
-    *owned->counter -= owned->bytes;
-  };
-  return zmq::message_t(memory, bytes, release, counted.release());
-}
-
-}  // namespace
-
 std::optional<bus::Frames> inline_slab_tensors(const bus::Frames& frames, const FindSlab& find_slab,
-                                               const std::shared_ptr<std::atomic<std::size_t>>& unsent) {
+                                               const UnsentBytes& unsent) {
   bus::Frames result;
   result.topic.rebuild(frames.topic.data(), frames.topic.size());
-  result.body.rebuild(frames.body.data(), frames.body.size());
+  result.body = unsent.copy(frames.body);
   auto* header = flatbuffers::GetMutableRoot<wire::Envelope>(result.body.data())->mutable_header();
   auto* tensors = header->mutable_tensors();
 
@@ -78,7 +55,7 @@ std::optional<bus::Frames> inline_slab_tensors(const bus::Frames& frames, const 
   const wire::Header* written = bus::verified_header(result.body, why);
   if (written == nullptr || has_slab_tensors(*written)) throw bus::Error("its tensors overlap");
 
-  result.payload = counted_frame(bytes, unsent);
+  result.payload = unsent.make(bytes);
   result.has_payload = true;
   auto* payload = result.payload.data<std::byte>();
   std::size_t end = frames.payload.size();

@@ -1,12 +1,11 @@
 #pragma once
 
-#include <atomic>
-#include <cstddef>
 #include <cstdint>
 #include <functional>
 #include <memory>
 #include <optional>
 
+#include "bus/counted_frames.h"
 #include "bus/frames.h"
 #include "bus/slab.h"
 
@@ -18,9 +17,9 @@ using FindSlab = std::function<std::shared_ptr<bus::Slab>(std::uint64_t id)>;
 bool has_slab_tensors(const wire::Header& header);
 
 /// The message as a reader over tcp gets it: the bytes of its slab tensors in a third frame, behind those that are
-/// inline already, and the Spans rewritten to say so. Nullopt when a slab is gone or a slot was overwritten. `unsent`
-/// holds the bytes of such frames that ZeroMQ has not given back yet. Throws bus::Error when a span lies.
+/// inline already, and the Spans rewritten to say so; counted as `unsent`. Nullopt when a slab is gone or a slot was
+/// overwritten. Throws bus::Error when a span lies.
 std::optional<bus::Frames> inline_slab_tensors(const bus::Frames& frames, const FindSlab& find_slab,
-                                               const std::shared_ptr<std::atomic<std::size_t>>& unsent);
+                                               const UnsentBytes& unsent);
 
 }  // namespace splatbus::bus_service

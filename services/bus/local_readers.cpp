@@ -1,6 +1,8 @@
 #include "bus/local_readers.h"
 
 #include <fmt/format.h>
+#include <linux/sockios.h>
+#include <sys/ioctl.h>
 #include <sys/socket.h>
 
 #include <algorithm>
@@ -11,6 +13,7 @@ namespace {
 constexpr std::size_t max_readers = 1024;
 constexpr std::size_t max_prefixes_of_reader = 256;
 constexpr std::size_t max_consumers = 16;
+constexpr std::int64_t stuck_ns = 3'000'000'000;
 
 std::uint32_t process_of(int fd) {
   ucred peer{};
@@ -31,12 +34,34 @@ void LocalReaders::note(const zmq::message_t& event, const std::string& prefix, 
   }
   if (found == readers_.end() && readers_.size() >= max_readers) return;
   Reader& reader = readers_[socket.cookie];
-  if (found == readers_.end()) reader = {.socket = socket, .pid = process_of(socket.fd), .prefixes = {}};
+  if (found == readers_.end())
+    reader = {.socket = socket, .pid = process_of(socket.fd), .prefixes = {}, .behind_since_ns = 0};
   if (reader.prefixes.size() < max_prefixes_of_reader) reader.prefixes.insert(prefix);
 }
 
 void LocalReaders::forget_closed() {
   std::erase_if(readers_, [](const auto& entry) { return !entry.second.socket.is_open(); });
+}
+
+void LocalReaders::look(std::int64_t now) {
+  for (auto& [cookie, reader] : readers_) {
+    int untaken = 0;
+    const bool behind =
+        bus::cookie_of(reader.socket.fd) == cookie && ::ioctl(reader.socket.fd, SIOCOUTQ, &untaken) == 0 && untaken > 0;
+    if (!behind) reader.behind_since_ns = 0;
+    if (behind && reader.behind_since_ns == 0) reader.behind_since_ns = now;
+  }
+}
+
+std::vector<std::uint32_t> LocalReaders::close_stuck(std::int64_t now) {
+  std::vector<std::uint32_t> closed;
+  for (auto& [cookie, reader] : readers_) {
+    if (reader.behind_since_ns == 0 || now - reader.behind_since_ns < stuck_ns) continue;
+    if (bus::cookie_of(reader.socket.fd) != cookie) continue;
+    ::shutdown(reader.socket.fd, SHUT_RDWR);  // libzmq closes it, and forgets what was for it
+    closed.push_back(reader.pid);
+  }
+  return closed;
 }
 
 std::set<std::string> LocalReaders::names(const std::string& topic,

@@ -3,16 +3,14 @@
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
 #include <sys/eventfd.h>
-#include <unistd.h>
 
 #include <algorithm>
 #include <utility>
 
-#include "bus/bind.h"
 #include "bus/clock.h"
 #include "bus/error.h"
 #include "bus/frames.h"
-#include "bus/private_folder.h"
+#include "bus/heartbeat_check.h"
 #include "wire/topics.h"
 
 namespace splatbus::bus_service {
@@ -21,19 +19,10 @@ namespace {
 constexpr int messages_a_turn = 512;  // before the other sockets get theirs
 constexpr std::int64_t beat_ns = 200'000'000;
 constexpr std::int64_t report_ns = 1'000'000'000;
-constexpr int port_attempts = 50;
 constexpr int subscriptions_a_turn = 256;
 constexpr double share_of_a_source = 0.5;  // of what is held
 constexpr std::int64_t remote_stamp = -1;  // of what came over tcp, whose clock is another
 constexpr std::int64_t due_check_ms = 20;
-constexpr int handshake_ms = 5000;
-constexpr int backlog = 1024;       // a crowd at the door keeps nobody waiting
-constexpr int ipc_filter_uid = 59;  // libzmq's ZMQ_IPC_FILTER_UID, which its header does not always name
-constexpr std::size_t max_first_bytes = std::size_t{32} << 20;
-constexpr std::size_t max_all_first_bytes = std::size_t{48} << 20;
-constexpr std::int64_t max_subscription_bytes = 1024;
-constexpr double subscription_bytes_per_s = 16384, subscription_burst_bytes = 262144;
-constexpr double reader_stalled_s = 3, reader_min_bytes_per_s = 65536;
 
 std::string latch_key_of(const wire::Header& header) {
   return header.latch_key() == nullptr ? std::string() : header.latch_key()->str();
@@ -43,11 +32,6 @@ const wire::Header& header_of(const bus::Frames& frames) {
   return *flatbuffers::GetRoot<wire::Envelope>(frames.body.data())->header();
 }
 
-std::uint16_t port_of(const zmq::socket_t& socket) {
-  const auto endpoint = socket.get(zmq::sockopt::last_endpoint);
-  return static_cast<std::uint16_t>(std::stoul(endpoint.substr(endpoint.rfind(':') + 1)));
-}
-
 }  // namespace
 
 Relay::Relay(const BrokerOptions& options, FindSlab find_slab, std::function<std::size_t()> count_slabs)
@@ -55,27 +39,11 @@ Relay::Relay(const BrokerOptions& options, FindSlab find_slab, std::function<std
       local_{true, {zmq_, zmq::socket_type::xsub}, {zmq_, zmq::socket_type::xpub}},
       remote_{false, {zmq_, zmq::socket_type::xsub}, {zmq_, zmq::socket_type::xpub}},
       held_(options.max_held_messages, options.max_held_bytes, share_of_a_source),
+      unsent_here_(options.max_remote_bytes),
       remote_readers_(std::move(find_slab), options.max_remote_bytes),
       wake_(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
   if (!wake_.valid()) throw bus::Error("cannot make an eventfd");
-  const uid_t user = ::geteuid();
-  for (Side* side : {&local_, &remote_}) {
-    bus::configure_socket(side->xsub, side->local);
-    bus::configure_socket(side->xpub, side->local);
-    side->xpub.set(zmq::sockopt::xpub_verbose, true);
-    for (zmq::socket_t* socket : {&side->xsub, &side->xpub}) {
-      socket->set(zmq::sockopt::handshake_ivl, handshake_ms);
-      socket->set(zmq::sockopt::backlog, backlog);
-      if (side->local) zmq_setsockopt(socket->handle(), ipc_filter_uid, &user, sizeof(user));
-    }
-  }
-  try {
-    const bus::PrivateUmask umask;
-    local_.xpub.bind(options.address.subscribe_endpoint());
-    local_.xsub.bind(options.address.publish_endpoint());
-  } catch (const zmq::error_t& error) {
-    throw bus::Error(fmt::format("{}: cannot bind: {}", options.address.text(), error.what()));
-  }
+  set_up_sockets(options);
   if (options.tcp_host) {
     guard_tcp(options);
     bind_tcp(options);
@@ -93,63 +61,12 @@ Relay::~Relay() {
   thread_.join();
 }
 
-void Relay::guard_tcp(const BrokerOptions& options) {
-  if (const auto keys =
-          bus::server_keys(fmt::format("tcp://{}:{}", *options.tcp_host, options.tcp_port), options.keys)) {
-    allowed_ = keys->allowed;
-    authenticator_.emplace(zmq_, allowed_);
-    bus::require_keys(remote_.xsub, *keys, {.control = true});
-    bus::require_keys(remote_.xpub, *keys, {.view = true});
-  }
-  const auto bytes = static_cast<std::int64_t>(options.max_remote_bytes);
-  remote_.xsub.set(zmq::sockopt::maxmsgsize, bytes);
-  remote_.xpub.set(zmq::sockopt::maxmsgsize, max_subscription_bytes);
-  writers_guard_.emplace(
-      zmq_, remote_.xsub,
-      bus::ConnectionLimits{.unread_bytes = options.max_remote_bytes,
-                            .first_unread_bytes = std::min(max_first_bytes, options.max_remote_bytes),
-                            .all_unread_bytes = options.max_remote_bytes,
-                            .all_first_unread_bytes = max_all_first_bytes},
-      "writers over tcp");
-  readers_guard_.emplace(zmq_, remote_.xpub,
-                         bus::ConnectionLimits{.unread_bytes = static_cast<std::size_t>(subscription_burst_bytes),
-                                               .bytes_per_s = subscription_bytes_per_s,
-                                               .burst_bytes = subscription_burst_bytes,
-                                               .stalled_s = reader_stalled_s,
-                                               .min_sent_per_s = reader_min_bytes_per_s},
-                         "readers over tcp");
-  if (allowed_ == nullptr) return;
-  writers_guard_->keep_only([allowed = allowed_](const bus::Key& key) { return allowed->rights_of(key).control; });
-  readers_guard_->keep_only([allowed = allowed_](const bus::Key& key) { return allowed->rights_of(key).view; });
-}
-
-void Relay::bind_tcp(const BrokerOptions& options) {
-  const auto port = options.tcp_port == 0 ? std::string("*") : std::to_string(options.tcp_port);
-  const auto bind_both = [&] {
-    if (zmq_bind(remote_.xsub.handle(), fmt::format("tcp://{}:{}", *options.tcp_host, port).c_str()) != 0) {
-      return zmq_errno();
-    }
-    const auto endpoint = remote_.xsub.get(zmq::sockopt::last_endpoint);
-    tcp_port_ = port_of(remote_.xsub);
-    const auto next = fmt::format("tcp://{}:{}", *options.tcp_host, tcp_port_ + 1);
-    if (tcp_port_ < 65535 && zmq_bind(remote_.xpub.handle(), next.c_str()) == 0) return 0;
-    const int error = tcp_port_ < 65535 ? zmq_errno() : EADDRNOTAVAIL;
-    remote_.xsub.unbind(endpoint);
-    return error;
-  };
-  for (int attempt = 1; options.tcp_port == 0 && attempt < port_attempts; ++attempt) {
-    if (bind_both() == 0) return;
-  }
-  bus::bind_patiently(
-      fmt::format("tcp://{}:{} and the port after it: cannot bind", *options.tcp_host, options.tcp_port), bind_both);
-}
-
 BrokerStatistics Relay::statistics() const {
   BrokerStatistics result;
   result.relayed = relayed_;
   result.malformed = malformed_;
   result.inlined = inlined_;
-  result.inline_dropped = overwritten_ + left_out_;
+  result.inline_dropped = overwritten_ + left_out_ + left_out_here_;
   result.unheld = unheld_;
   result.held = held_count_;
   result.slabs = count_slabs_();
@@ -209,15 +126,17 @@ void Relay::take(bus::Frames& frames, bool local) {
   if (!local && has_slab_tensors(*header)) return refuse(frames, "a tensor in a slab cannot come over tcp");
   const bool heartbeat = frames.topic_text() == topics::kHeartbeat.name;
   flatbuffers::Verifier verifier(frames.body.data<std::uint8_t>(), frames.body.size(), 8, 4096);
-  if (heartbeat && !verifier.VerifyBuffer<wire::Heartbeat>(nullptr)) {
-    return refuse(frames, "it does not verify as a Heartbeat");
+  if (heartbeat) {
+    if (!verifier.VerifyBuffer<wire::Heartbeat>(nullptr)) return refuse(frames, "it does not verify as a Heartbeat");
+    why = heartbeat_problem(*flatbuffers::GetRoot<wire::Heartbeat>(frames.body.data()), frames.body.size());
+    if (!why.empty()) return refuse(frames, why);
   }
   const std::int64_t now = bus::now_ns();
   const auto source = header->source()->string_view();
   if (!sources_.admit(source, header->epoch(), frames.topic, local, now, why)) {
     return refuse(frames, fmt::format("'{}': {}", bus::printable(source), why));
   }
-  if (heartbeat) liveness_.note(*flatbuffers::GetRoot<wire::Heartbeat>(frames.body.data()), now);
+  if (heartbeat) liveness_.note(*flatbuffers::GetRoot<wire::Heartbeat>(frames.body.data()), now, local);
   relay(frames, *header, local);
 }
 
@@ -267,7 +186,7 @@ bool Relay::hold(const bus::Frames& frames, const wire::Header& header, bool loc
   // A publisher whose clock is ahead, by error or on purpose, shall not keep others out.
   const std::int64_t stamp = local ? std::clamp<std::int64_t>(header.publish_ns(), 0, bus::now_ns()) : remote_stamp;
   const auto source = header.source()->str();
-  const auto put = held_.put(topic, key, source, next_order_++, std::move(copy), stamp);
+  const auto put = held_.put(topic, key, source, next_order_++, std::move(copy), stamp, !local);
   if (!put.held) ++unheld_;
   if ((put.evicted > 0 || !put.held) && limiter_.allow()) {
     spdlog::warn("{} from {}: {}", bus::printable(topic), bus::printable(source),
@@ -280,10 +199,29 @@ bool Relay::hold(const bus::Frames& frames, const wire::Header& header, bool loc
 }
 
 void Relay::send(Side& side, const bus::Frames& frames, const wire::Header& header) {
-  if (!side.local) {
-    if (!remote_readers_.wants(frames.topic_text()) || !remote_readers_.offer(frames, header)) return;
+  if (side.local) return send_here(frames);
+  if (!subscriptions_.wants(frames.topic_text())) return;
+  if (auto ready = remote_readers_.offer(frames, header)) bus::send_frames(side.xpub, std::move(*ready));
+}
+
+// What comes over tcp has its bulk data in it, and a reader that is stopped lets thousands of messages wait.
+void Relay::send_here(const bus::Frames& frames) {
+  if (unsent_here_.has_room(frames.bytes())) return bus::send_frames(local_.xpub, unsent_here_.share(frames));
+  ++left_out_here_;
+  left_out_here_lately_ = true;
+}
+
+void Relay::make_room(std::int64_t now) {
+  for (const auto& topic : remote_readers_.take_unserved()) {
+    if (readers_guard_) readers_guard_->make_room(subscriptions_.readers_of(topic));
   }
-  bus::send_frames(side.xpub, frames.share());
+  local_readers_.look(now);
+  if (!std::exchange(left_out_here_lately_, false)) return;
+  const auto stuck = local_readers_.close_stuck(now);
+  if (!stuck.empty() && limiter_.allow()) {
+    spdlog::warn("closed the connections of {} readers, which took nothing while others waited; process {} was one",
+                 stuck.size(), stuck.front());
+  }
 }
 
 void Relay::send_inlined() {
@@ -310,17 +248,19 @@ void Relay::read_subscriptions(Side& side) {
     if (side.local) {
       local_readers_.note(event, prefix, kind == 1);
       if (kind == 1) resend_held(side, prefix);
-    } else if (kind == 1) {
-      remote_readers_.subscribe(prefix);
-    } else {
-      remote_readers_.unsubscribe(prefix);
+    } else if (kind == 0) {
+      subscriptions_.end(event, prefix);
+    } else if (subscriptions_.begin(event, prefix)) {
+      remote_readers_.ask_for_held(prefix);
+    } else if (readers_guard_) {
+      readers_guard_->close(event, "it subscribes to more than there is room for");
     }
   }
 }
 
 std::set<std::string> Relay::readers_of(const std::string& topic) const {
   std::set<std::string> names = local_readers_.names(topic, liveness_.nodes());
-  if (remote_readers_.wants(topic)) names.insert("tcp");
+  if (subscriptions_.wants(topic)) names.insert("tcp");
   return names;
 }
 
@@ -333,10 +273,7 @@ void Relay::resend_due() {
   const auto due = remote_readers_.take_due(bus::now_ns());
   if (due.empty()) return;
   for (auto& held : held_.matching("")) {
-    const auto topic = held.frames.topic_text();
-    const bool wanted =
-        std::any_of(due.begin(), due.end(), [&](const auto& prefix) { return topic.starts_with(prefix); });
-    if (wanted) send(remote_, held.frames, header_of(held.frames));
+    if (has_prefix_of(held.frames.topic_text(), due)) send(remote_, held.frames, header_of(held.frames));
   }
 }
 
@@ -345,12 +282,15 @@ void Relay::tick() {
   if (now < next_beat_ns_) return;
   next_beat_ns_ = now + beat_ns;
   relay_own(own_.heartbeat(statistics(), wire::ServiceState::Running));
+  make_room(now);
+  sources_.forget_some();
   for (const auto& source : liveness_.update(now)) held_.erase(std::string(topics::kHeartbeat.name), source);
   const bool due = now >= next_report_ns_;
   if (liveness_.take_changed() || due) relay_own(own_.liveness(liveness_.nodes()));
   if (!due) return;
   next_report_ns_ = now + report_ns;
   local_readers_.forget_closed();
+  subscriptions_.forget_closed();
   relay_own(own_.topics(topics_, [this](const std::string& topic) { return readers_of(topic); }));
 }
 

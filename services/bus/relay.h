@@ -12,6 +12,7 @@
 
 #include "bus/broker.h"
 #include "bus/connection_guard.h"
+#include "bus/counted_frames.h"
 #include "bus/curve.h"
 #include "bus/file_descriptor.h"
 #include "bus/frames.h"
@@ -21,6 +22,7 @@
 #include "bus/log_sink.h"
 #include "bus/own_messages.h"
 #include "bus/remote_readers.h"
+#include "bus/remote_subscriptions.h"
 #include "bus/sources.h"
 
 namespace splatbus::bus_service {
@@ -45,8 +47,11 @@ class Relay {
     zmq::socket_t xsub;
     zmq::socket_t xpub;
   };
+  // relay_sockets.cpp
+  void set_up_sockets(const BrokerOptions& options);
   void bind_tcp(const BrokerOptions& options);
   void guard_tcp(const BrokerOptions& options);
+
   void run(const std::stop_token& stop);
   void relay_from(Side& side);
   /// What a peer sent: refused, or relayed.
@@ -56,11 +61,13 @@ class Relay {
   bool hold(const bus::Frames& frames, const wire::Header& header, bool local);
   bool is_stale(const wire::Header& header, const bus::LatchStore::Held& held, bool local) const;
   void send(Side& side, const bus::Frames& frames, const wire::Header& header);
+  void send_here(const bus::Frames& frames);
   void send_inlined();
   void read_subscriptions(Side& side);
   std::set<std::string> readers_of(const std::string& topic) const;
   void resend_held(Side& side, const std::string& prefix);
   void resend_due();
+  void make_room(std::int64_t now);
   void tick();
   void refuse(const bus::Frames& frames, const std::string& why);
 
@@ -75,6 +82,9 @@ class Relay {
   bus::LatchStore held_;
   std::uint64_t next_order_ = 1;
   LocalReaders local_readers_;
+  UnsentBytes unsent_here_;
+  bool left_out_here_lately_ = false;
+  RemoteSubscriptions subscriptions_;
   RemoteReaders remote_readers_;
   Sources sources_;
   Liveness liveness_;
@@ -86,7 +96,7 @@ class Relay {
   std::atomic<std::uint64_t> relayed_ = 0;
   std::atomic<std::uint64_t> malformed_ = 0;
   std::atomic<std::uint64_t> inlined_ = 0;
-  std::atomic<std::uint64_t> overwritten_ = 0, left_out_ = 0;
+  std::atomic<std::uint64_t> overwritten_ = 0, left_out_ = 0, left_out_here_ = 0;
   std::atomic<std::uint64_t> unheld_ = 0;
   std::atomic<std::uint64_t> held_count_ = 0;
   bus::FileDescriptor wake_;

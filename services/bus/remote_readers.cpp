@@ -11,7 +11,7 @@ namespace splatbus::bus_service {
 namespace {
 
 constexpr std::size_t max_jobs = 256;
-constexpr std::size_t max_prefixes = 4096;
+constexpr std::size_t max_due = 1024, max_unserved = 16;
 constexpr double resends_per_s = 4, resend_burst = 8;
 
 std::size_t slab_bytes(const wire::Header& header) {
@@ -28,9 +28,8 @@ std::size_t slab_bytes(const wire::Header& header) {
 
 RemoteReaders::RemoteReaders(FindSlab find_slab, std::size_t max_bytes)
     : find_slab_(std::move(find_slab)),
-      max_bytes_(max_bytes),
+      unsent_(max_bytes),
       resends_(resends_per_s, resend_burst),
-      unsent_(std::make_shared<std::atomic<std::size_t>>(0)),
       ready_(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
   if (!ready_.valid()) throw bus::Error("cannot make an eventfd");
   thread_ = std::jthread([this](const std::stop_token& stop) { run(stop); });
@@ -41,38 +40,29 @@ RemoteReaders::~RemoteReaders() {
   thread_.join();
 }
 
-void RemoteReaders::subscribe(const std::string& prefix) {
-  if (prefixes_.size() < max_prefixes) prefixes_.insert(prefix);
-  if (due_.size() < max_prefixes) due_.insert(prefix);
+void RemoteReaders::ask_for_held(const std::string& prefix) {
+  due_.insert(prefix);
+  if (due_.size() > max_due) due_ = {""};  // all of it: nobody is left out for those who ask for much
 }
 
-void RemoteReaders::unsubscribe(const std::string& prefix) {
-  prefixes_.erase(prefix);
-}
-
-bool RemoteReaders::wants(std::string_view topic) const {
-  return prefixes_.size() >= max_prefixes ||
-         std::any_of(prefixes_.begin(), prefixes_.end(), [&](const auto& prefix) { return topic.starts_with(prefix); });
-}
-
-std::set<std::string> RemoteReaders::take_due(std::int64_t now_ns) {
+RemoteReaders::Prefixes RemoteReaders::take_due(std::int64_t now_ns) {
   if (due_.empty() || !resends_.take(1, now_ns)) return {};
   return std::exchange(due_, {});
 }
 
-bool RemoteReaders::offer(const bus::Frames& frames, const wire::Header& header) {
+std::optional<bus::Frames> RemoteReaders::offer(const bus::Frames& frames, const wire::Header& header) {
   const std::size_t bytes = slab_bytes(header);
-  const bool inlines = has_slab_tensors(header);
   const auto topic = frames.topic_text();
   const std::scoped_lock lock(mutex_);
   const auto waiting = topics_.find(topic);
-  if (!inlines && waiting == topics_.end()) return true;  // else it would overtake those before it
-  const std::size_t taken = job_bytes_ + *unsent_;
-  if (jobs_.size() + done_.size() >= max_jobs || (inlines && taken > 0 && taken + bytes > max_bytes_)) {
+  const bool waits = has_slab_tensors(header) || waiting != topics_.end();  // else it would overtake those before it
+  if ((waits && jobs_.size() + done_.size() >= max_jobs) || !unsent_.has_room(frames.bytes() + bytes, job_bytes_)) {
     ++left_out_;
-    return false;
+    if (unserved_.size() < max_unserved) unserved_.emplace(topic);
+    return std::nullopt;
   }
-  jobs_.push_back({frames.share(), bytes});
+  if (!waits) return unsent_.share(frames);
+  jobs_.push_back({unsent_.share(frames), bytes});
   job_bytes_ += bytes;
   if (waiting == topics_.end()) {
     topics_.emplace(topic, 1);
@@ -80,7 +70,7 @@ bool RemoteReaders::offer(const bus::Frames& frames, const wire::Header& header)
     ++waiting->second;
   }
   given_.notify_one();
-  return false;
+  return std::nullopt;
 }
 
 std::vector<RemoteReaders::Done> RemoteReaders::take() {

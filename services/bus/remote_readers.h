@@ -1,19 +1,20 @@
 #pragma once
 
-#include <atomic>
 #include <condition_variable>
 #include <cstddef>
 #include <cstdint>
 #include <deque>
 #include <map>
-#include <memory>
 #include <mutex>
+#include <optional>
 #include <set>
 #include <string>
 #include <string_view>
 #include <thread>
+#include <utility>
 #include <vector>
 
+#include "bus/counted_frames.h"
 #include "bus/file_descriptor.h"
 #include "bus/frames.h"
 #include "bus/inliner.h"
@@ -21,9 +22,9 @@
 
 namespace splatbus::bus_service {
 
-/// What readers over tcp get, and what it may cost: which topics they want, and the copies of slabs' bytes for them,
-/// made by a thread of its own. The copies that ZeroMQ has not sent yet are counted; beyond the bound a message is not
-/// copied but left out, for readers that take nothing must not fill the memory. Called by one thread.
+/// What readers over tcp get, and what it may cost: copies of slabs' bytes for them, made by a thread of its own. What
+/// ZeroMQ has not sent yet is counted; beyond the bound a message is not copied but left out, for readers that take
+/// nothing must not fill the memory. Called by one thread.
 class RemoteReaders {
  public:
   RemoteReaders(FindSlab find_slab, std::size_t max_bytes);
@@ -31,16 +32,15 @@ class RemoteReaders {
   RemoteReaders(const RemoteReaders&) = delete;
   RemoteReaders& operator=(const RemoteReaders&) = delete;
 
-  void subscribe(const std::string& prefix);
-  void unsubscribe(const std::string& prefix);
-  [[nodiscard]] bool wants(std::string_view topic) const;
-
-  /// The prefixes that were subscribed to since the last time, when what is held may be sent again; empty before that.
-  [[nodiscard]] std::set<std::string> take_due(std::int64_t now_ns);
+  using Prefixes = std::set<std::string, std::less<>>;
+  /// What is held of these topics is to be sent again.
+  void ask_for_held(const std::string& prefix);
+  /// What was asked for since the last time, when what is held may be sent again; empty before that.
+  [[nodiscard]] Prefixes take_due(std::int64_t now_ns);
   [[nodiscard]] bool has_due() const { return !due_.empty(); }
 
-  /// True when the message is to be sent as it is, now. Else it comes back by take(), or is left out and counted.
-  [[nodiscard]] bool offer(const bus::Frames& frames, const wire::Header& header);
+  /// The message as it is to be sent now. Nullopt: it comes back by take(), or is left out and counted.
+  [[nodiscard]] std::optional<bus::Frames> offer(const bus::Frames& frames, const wire::Header& header);
 
   struct Done {
     bus::Frames frames;
@@ -53,6 +53,8 @@ class RemoteReaders {
   [[nodiscard]] int ready_fd() const { return ready_.get(); }
 
   [[nodiscard]] std::uint64_t left_out() const { return left_out_; }
+  /// Topics of what was left out since the last time, some of them.
+  [[nodiscard]] std::set<std::string> take_unserved() { return std::exchange(unserved_, {}); }
 
  private:
   struct Job {
@@ -63,11 +65,11 @@ class RemoteReaders {
   Done work(const Job& job);
 
   const FindSlab find_slab_;
-  const std::size_t max_bytes_;
-  std::set<std::string> prefixes_, due_;
+  const UnsentBytes unsent_;
+  Prefixes due_;
   bus::TokenBucket resends_;
-  std::shared_ptr<std::atomic<std::size_t>> unsent_;  ///< bytes of copies that are there
   std::uint64_t left_out_ = 0;
+  std::set<std::string> unserved_;
 
   std::mutex mutex_;  // of all below
   std::condition_variable_any given_;

@@ -77,6 +77,27 @@ TEST(TopicTableTest, CountsTheMessagesOfEachSource) {
   EXPECT_EQ(sources.at("streamer-2"), 1u);
 }
 
+TEST(LivenessTest, WhoIsHereFindsAPlaceHoweverManyAreElsewhere) {
+  Liveness liveness;
+  const auto beat_as = [&](const std::string& name, bool local) {
+    flatbuffers::FlatBufferBuilder builder;
+    const auto header = wire::CreateHeaderDirect(builder, "Heartbeat/1", name.c_str(), 1, 1);
+    builder.Finish(wire::CreateHeartbeatDirect(builder, header, "service"));
+    liveness.note(*flatbuffers::GetRoot<wire::Heartbeat>(builder.GetBufferPointer()), kSecond, local);
+  };
+  for (int i = 0; i < 2000; ++i) beat_as("far" + std::to_string(i), false);
+  EXPECT_EQ(liveness.nodes().size(), 512U);
+  beat_as("trainer", true);
+  EXPECT_TRUE(liveness.nodes().contains("trainer"));
+  // One that moves here makes room there, and so do those that are forgotten.
+  beat_as("far0", true);
+  beat_as("late", false);
+  EXPECT_TRUE(liveness.nodes().contains("late"));
+  EXPECT_EQ(liveness.update(100 * kSecond).size(), 514U);
+  for (int i = 0; i < 2000; ++i) beat_as("far" + std::to_string(i), false);
+  EXPECT_EQ(liveness.nodes().size(), 512U);
+}
+
 TEST(TopicTableTest, TellsIntervalsAgesAndSharedMemoryApart) {
   TopicTable table;
   const auto note = [&](std::int64_t now, bool local) {

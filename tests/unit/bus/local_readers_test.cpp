@@ -9,6 +9,7 @@
 #include <optional>
 #include <zmq.hpp>
 
+#include "../../hostile/raw_zmtp.h"
 #include "bus_fixture.h"
 
 namespace splatbus::bus_service {
@@ -108,6 +109,33 @@ TEST_F(LocalReadersTest, ForgetsWhoUnsubscribesOrLeaves) {
     readers_.forget_closed();
     return names("sys/log").empty();
   }));
+}
+
+TEST_F(LocalReadersTest, WhoTakesNothingForSecondsIsClosedWhenThatIsAsked) {
+  constexpr std::int64_t kSecond = 1'000'000'000;
+  xpub_.set(zmq::sockopt::sndtimeo, 0);
+  hostile::RawZmtp stopped(endpoint_);
+  ASSERT_TRUE(stopped.handshake("SUB"));
+  ASSERT_TRUE(stopped.send_frame("\x01many", false));
+  note_one();
+  auto good = subscribe({"many"});
+  const auto flood = [&] {
+    zmq::message_t taken;
+    for (int i = 0; i < 20; ++i) {
+      xpub_.send(zmq::buffer("many" + std::string(1 << 20, 'x')), zmq::send_flags::dontwait);
+      good->set(zmq::sockopt::rcvtimeo, 5000);
+      ASSERT_TRUE(good->recv(taken).has_value());
+    }
+  };
+  flood();
+  readers_.look(kSecond);
+  EXPECT_TRUE(readers_.close_stuck(kSecond).empty());
+  readers_.look(3 * kSecond);
+  EXPECT_TRUE(readers_.close_stuck(4 * kSecond - 1).empty()) << "it may be that slow";
+  EXPECT_FALSE(stopped.closed_within(std::chrono::milliseconds(1)));
+  EXPECT_EQ(readers_.close_stuck(4 * kSecond).size(), 1U);
+  EXPECT_TRUE(bus_test::eventually([&] { return stopped.closed_within(std::chrono::milliseconds(100)); }));
+  flood();
 }
 
 TEST_F(LocalReadersTest, NamesAndPrefixesAreBounded) {

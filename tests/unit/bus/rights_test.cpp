@@ -12,7 +12,7 @@ TEST(Rights, NamesAndBack) {
   EXPECT_EQ(parse_rights("view,steer,probe,control"), Rights::all());
   EXPECT_EQ(to_text(Rights::all()), "view,steer,probe,control");
   EXPECT_EQ(to_text({.view = true, .control = true}), "view,control");
-  EXPECT_EQ(to_text({}), "");
+  EXPECT_EQ(to_text(Rights{}), "");
 }
 
 TEST(Rights, AnUnknownNameIsNoRight) {
