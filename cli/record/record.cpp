@@ -112,13 +112,10 @@ void print_summary(const RecordOptions& options, const fs::path& path, const Rec
   if (options.json) {
     Json topics = Json::object();
     for (const auto& [topic, record] : state.topics) {
-      topics[topic] = {{"messages", record.messages},
-                       {"bytes", record.bytes},
-                       {"slow_disk", record.slow_disk},
-                       {"failed_disk", record.failed_disk},
-                       {"overwritten", record.overwritten},
-                       {"refused", record.refused},
-                       {"lost", record.lost}};
+      topics[topic] = {{"messages", record.messages},         {"bytes", record.bytes},
+                       {"slow_disk", record.slow_disk},       {"failed_disk", record.failed_disk},
+                       {"beyond_limit", record.beyond_limit}, {"overwritten", record.overwritten},
+                       {"refused", record.refused},           {"lost", record.lost}};
     }
     fmt::print("{}\n", Json{{"file", path.string()},
                             {"parts", state.parts},
@@ -208,8 +205,11 @@ void add_record_verb(CLI::App& app, Action& action) {
                    "topics whose tensors are recorded: all, none or names (default: all but model/published)")
       ->delimiter(',');
   verb->add_option("--seconds", options->seconds, "how long (default: until Ctrl-C)")->check(CLI::NonNegativeNumber);
-  verb->add_option("--max-mb", options->max_mb, "size of the file at which recording ends (default: none)");
-  verb->add_flag("--split", options->split, "go on with another file (NAME-1.mcap) at that size instead");
+  auto* max_mb =
+      verb->add_option("--max-mb", options->max_mb, "size of the file at which recording ends (default: none)")
+          ->check(CLI::PositiveNumber);
+  verb->add_flag("--split", options->split, "with --max-mb: go on with another file (NAME-1.mcap) at that size instead")
+      ->needs(max_mb);
   verb->add_option("--buffer-mb", options->buffer_mb,
                    "memory between the bus and the disk; beyond it messages are dropped and counted (default 256)")
       ->check(CLI::Range(8, 65536));

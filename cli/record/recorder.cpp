@@ -1,10 +1,10 @@
 #include "recorder.h"
 
 #include <fmt/format.h>
-#include <fmt/ranges.h>
 #include <spdlog/spdlog.h>
 
 #include <algorithm>
+#include <utility>
 
 #include "bus/clock.h"
 #include "topic_filter.h"
@@ -23,31 +23,6 @@ std::int64_t realtime_minus_monotonic_ns() {
   timespec now{};
   ::clock_gettime(CLOCK_REALTIME, &now);
   return std::int64_t{now.tv_sec} * 1'000'000'000 + now.tv_nsec - bus::now_ns();
-}
-
-std::string describe_drops(const TopicRecord& record) {
-  if (record.dropped() == 0) return {};
-  std::vector<std::string> reasons;
-  const auto add = [&](std::string_view reason, std::uint64_t count) {
-    if (count > 0) reasons.push_back(fmt::format("{} {}", reason, count));
-  };
-  add("slow disk", record.slow_disk);
-  add("failed disk", record.failed_disk);
-  add("overwritten", record.overwritten);
-  add("refused", record.refused);
-  add("lost", record.lost);
-  return fmt::format("{} ({})", record.dropped(), fmt::join(reasons, ", "));
-}
-
-TopicRecord& TopicRecord::operator+=(const TopicRecord& other) {
-  messages += other.messages;
-  bytes += other.bytes;
-  slow_disk += other.slow_disk;
-  failed_disk += other.failed_disk;
-  overwritten += other.overwritten;
-  refused += other.refused;
-  lost += other.lost;
-  return *this;
 }
 
 TopicRecord Recorder::State::total() const {
@@ -98,6 +73,7 @@ void Recorder::take(const bus::Message& message) {
                        .sequence = static_cast<std::uint32_t>(header.sequence()),
                        .log_time = static_cast<std::uint64_t>(bus::now_ns() + realtime_minus_monotonic_ns_),
                        .publish_time = static_cast<std::uint64_t>(header.publish_ns() + realtime_minus_monotonic_ns_),
+                       .missing = {},
                        .data = nullptr};
   try {
     const std::size_t bytes = recorded_size(message, with_slabs) + kMessageBytes;
@@ -124,7 +100,12 @@ void Recorder::take(const bus::Message& message) {
     queued.data.reset();
   }
   state_.topics[message.topic()] += record;
+  if (record.dropped() > 0) {
+    record.messages = record.bytes = 0;
+    missing_[message.topic()] += record;
+  }
   if (queued.data == nullptr) return;
+  queued.missing = std::exchange(missing_, {});
   state_.queued_bytes += queued.data->size + kMessageBytes;
   state_.most_queued_bytes = std::max(state_.most_queued_bytes, state_.queued_bytes);
   queue_.push_back(std::move(queued));
@@ -160,7 +141,11 @@ void Recorder::write_queue() try {
       }
     }
     const std::size_t bytes = message.data ? message.data->size + kMessageBytes : 0;
-    if (message.data && !file_.full()) file_.write(message);
+    if (message.data && file_.full()) {
+      discard(message);
+    } else if (message.data) {
+      file_.write(message);
+    }
     message.data.reset();
     if (std::chrono::steady_clock::now() >= chunk_end) {
       file_.close_chunk();
@@ -172,11 +157,26 @@ void Recorder::write_queue() try {
     state_.parts = file_.parts();
     state_.full = file_.full();
   }
-  if (whole) file_.close(drops());
+  if (whole) file_.close(take_missing());
   const std::scoped_lock lock(mutex_);
   state_.file_bytes = file_.bytes();
 } catch (const std::exception& error) {
   fail(error.what());
+}
+
+void Recorder::discard(const QueuedMessage& message) {
+  const std::scoped_lock lock(mutex_);
+  TopicRecord& record = state_.topics[message.topic];
+  record.messages -= 1;
+  record.bytes -= message.data->size;
+  record.beyond_limit += 1;
+  for (const auto& [topic, missing] : message.missing) missing_[topic] += missing;
+  missing_[message.topic].beyond_limit += 1;
+}
+
+TopicRecords Recorder::take_missing() {
+  const std::scoped_lock lock(mutex_);
+  return std::exchange(missing_, {});
 }
 
 void Recorder::fail(const std::string& why) {
@@ -208,15 +208,6 @@ void Recorder::finish() {
 Recorder::State Recorder::state() const {
   const std::scoped_lock lock(mutex_);
   return state_;
-}
-
-mcap::StringMap Recorder::drops() const {
-  const std::scoped_lock lock(mutex_);
-  mcap::StringMap drops;
-  for (const auto& [topic, record] : state_.topics) {
-    if (record.dropped() > 0) drops[topic] = describe_drops(record);
-  }
-  return drops;
 }
 
 }  // namespace splatbus::cli

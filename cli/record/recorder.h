@@ -15,6 +15,7 @@
 #include "bus/log_sink.h"
 #include "bus/subscriber.h"
 #include "recording_file.h"
+#include "topic_record.h"
 
 namespace splatbus::cli {
 
@@ -27,21 +28,6 @@ struct RecorderOptions {
   std::size_t queue_bytes = std::size_t{256} << 20;              ///< between the bus and the disk
   RecordingFileOptions file;
 };
-
-/// What became of one topic's messages.
-struct TopicRecord {
-  std::uint64_t messages = 0, bytes = 0;  ///< that went to the disk, or wait for it
-  std::uint64_t slow_disk = 0;            ///< dropped: the queue was full
-  std::uint64_t failed_disk = 0;          ///< dropped: the disk failed, or was full, before they were written
-  std::uint64_t overwritten = 0;  ///< dropped: a tensor's slot was written again, or its slab gone, before it was read
-  std::uint64_t refused = 0;      ///< dropped: they make no sense
-  std::uint64_t lost = 0;         ///< never arrived here, by gaps in their sequence
-  [[nodiscard]] std::uint64_t dropped() const { return slow_disk + failed_disk + overwritten + refused + lost; }
-  TopicRecord& operator+=(const TopicRecord& other);
-};
-
-/// "12 (slow disk 9, overwritten 3)"; empty when nothing is missing.
-[[nodiscard]] std::string describe_drops(const TopicRecord& record);
 
 /// Records a bus: the caller's thread receives, and copies tensors out of their slabs at once; another one compresses
 /// and writes. Between them lie `queue_bytes` at most, and what finds no room is dropped and counted; the last eighth
@@ -66,7 +52,7 @@ class Recorder {
   void finish();
 
   struct State {
-    std::map<std::string, TopicRecord> topics;
+    TopicRecords topics;
     std::size_t queued_bytes = 0, most_queued_bytes = 0;
     std::uint64_t file_bytes = 0;
     unsigned parts = 1;
@@ -83,7 +69,8 @@ class Recorder {
   [[nodiscard]] bool has_room(std::size_t bytes, bool latched) const;
   void write_queue();
   void fail(const std::string& why);
-  [[nodiscard]] mcap::StringMap drops() const;
+  [[nodiscard]] TopicRecords take_missing();
+  void discard(const QueuedMessage& message);
 
   const RecorderOptions options_;
   bus::Subscriber subscriber_;
@@ -99,6 +86,7 @@ class Recorder {
   std::condition_variable changed_;
   std::deque<QueuedMessage> queue_;
   State state_;
+  TopicRecords missing_;  ///< since the newest message in the queue
   bool finishing_ = false, abandoned_ = false;
   RecordingFile file_;  // the thread's alone, once that runs
   std::jthread thread_;

@@ -44,10 +44,11 @@ void RecordingFile::write(const QueuedMessage& message) {
   const auto count = [&] { unwritten_[message.topic] += {.messages = 1, .bytes = message.data->size}; };
   count();
   if (split) {
-    close({});
+    close();
     count();
     next_part(message.log_time);
   }
+  add_missing(message.missing);
   append(message);
   if (options_.split && message.latched) hold(message);
   if (writer_->open_chunk_bytes() == 0) unwritten_.clear();
@@ -63,6 +64,7 @@ void RecordingFile::next_part(std::uint64_t log_time) {
   ++part_;
   channels_.clear();
   schemas_.clear();
+  missing_.clear();
   begin_part();
   std::vector<const QueuedMessage*> held;
   for (const auto& [key, message] : latched_) held.push_back(&message);
@@ -72,6 +74,10 @@ void RecordingFile::next_part(std::uint64_t log_time) {
     repeated.log_time = log_time;
     append(repeated);
   }
+}
+
+void RecordingFile::add_missing(const TopicRecords& missing) {
+  for (const auto& [topic, record] : missing) missing_[topic] += record;
 }
 
 void RecordingFile::append(const QueuedMessage& message) {
@@ -92,7 +98,7 @@ void RecordingFile::hold(const QueuedMessage& message) {
   }
   if (latched_bytes_ + message.data->size > kMaxLatchedBytes) return;
   latched_bytes_ += message.data->size;
-  latched_.emplace(key, message);
+  latched_.emplace(key, message).first->second.missing.clear();
 }
 
 std::uint16_t RecordingFile::channel_of(const QueuedMessage& message) {
@@ -115,8 +121,11 @@ std::uint16_t RecordingFile::schema_of(const std::string& schema) {
   return schemas_[schema] = id;
 }
 
-void RecordingFile::close(const mcap::StringMap& drops) {
+void RecordingFile::close(const TopicRecords& missing) {
   close_chunk();
+  add_missing(missing);
+  mcap::StringMap drops;
+  for (const auto& [topic, record] : missing_) drops[topic] = describe_drops(record);
   mcap::Metadata largest{.name = kLargestMetadata, .values = {}};
   for (const auto& [topic, bytes] : largest_) {
     if (bytes > 0) largest.values[topic] = std::to_string(bytes);

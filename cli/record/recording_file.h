@@ -10,6 +10,7 @@
 
 #include "mcap/writer.h"
 #include "recorded_message.h"
+#include "topic_record.h"
 
 namespace splatbus::cli {
 
@@ -27,6 +28,7 @@ struct QueuedMessage {
   std::string latch_key;
   std::uint32_t sequence = 0;
   std::uint64_t log_time = 0, publish_time = 0;  ///< nanoseconds since 1970
+  TopicRecords missing;                          ///< what was dropped between the one before and this one
   std::shared_ptr<const Blob> data;
 };
 
@@ -55,8 +57,8 @@ class RecordingFile {
 
   void write(const QueuedMessage& message);
   void close_chunk();
-  /// `drops` by topic, said in the metadata.
-  void close(const mcap::StringMap& drops);
+  /// `missing`: what was dropped since the last message. The metadata has it with all that was missing of this part.
+  void close(const TopicRecords& missing = {});
 
   /// Whether it has reached its limit and takes no more.
   [[nodiscard]] bool full() const;
@@ -67,6 +69,7 @@ class RecordingFile {
 
  private:
   void begin_part();
+  void add_missing(const TopicRecords& missing);
   void next_part(std::uint64_t log_time);
   void append(const QueuedMessage& message);
   void hold(const QueuedMessage& message);
@@ -81,6 +84,7 @@ class RecordingFile {
   std::map<std::string, std::uint16_t> schemas_;
   std::map<std::string, std::uint64_t> largest_;
   std::map<std::string, TopicCount> unwritten_;
+  TopicRecords missing_;                                                  ///< of this part
   std::map<std::pair<std::string, std::string>, QueuedMessage> latched_;  ///< by topic and latch key
   std::size_t latched_bytes_ = 0;
 };

@@ -1,11 +1,14 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <CLI/CLI.hpp>
+#include <algorithm>
 #include <filesystem>
 #include <future>
 
 #include "../bus/slab_helpers.h"
 #include "record_fixture.h"
+#include "verbs.h"
 
 namespace splatbus::cli {
 namespace {
@@ -71,6 +74,55 @@ TEST_F(RecordDiskTest, ASlowDiskCostsMessagesAndNoMemory) {
     if (metadata.name == kDropsMetadata) said = metadata.values.at("pictures");
   }
   EXPECT_EQ(said, std::to_string(record.slow_disk) + " (slow disk " + std::to_string(record.slow_disk) + ")");
+}
+
+/// What a file says is missing, by topic.
+mcap::StringMap missing_of(const std::filesystem::path& path) {
+  for (const auto& metadata : mcap::Reader(path).read_metadata()) {
+    if (metadata.name == kDropsMetadata) return metadata.values;
+  }
+  return {{"no", kDropsMetadata}};
+}
+
+TEST_F(RecordDiskTest, WhatWaitsWhenTheFileIsFullIsCountedAndNotAsRecorded) {
+  std::promise<void> open;
+  RecorderOptions options;
+  options.file = to_file(path());
+  options.file.writer.chunk_bytes = 10'000;
+  options.file.writer.compression_level = 0;
+  options.file.max_bytes = 30'000;
+  options.file.open = [&, gate = open.get_future().share()](unsigned) {
+    return std::make_unique<SlowDisk>(gate, path());
+  };
+  constexpr std::uint64_t kPublished = 1000;
+  bus_test::NumberPublisher numbers(connect("engine"), "numbers");
+  const auto recorder = record(options);
+  for (std::uint64_t i = 0; i < kPublished; ++i) {
+    publish_number(numbers, i);
+    poll_until(*recorder, "numbers", i + 1);
+  }
+  open.set_value();
+  recorder->finish();
+  const Recorder::State state = recorder->state();
+  const TopicRecord& record = state.topics.at("numbers");
+  EXPECT_TRUE(state.full);
+  EXPECT_GT(record.beyond_limit, 0U);
+  EXPECT_EQ(record.messages + record.beyond_limit, kPublished);
+  const mcap::Reader reader(path());
+  EXPECT_EQ(reader.damage(), "");
+  std::uint64_t written = 0, bytes = 0;
+  for (const auto& [id, channel] : reader.summary().channels) {
+    if (channel.topic == "numbers") written += reader.summary().statistics.channel_message_counts.at(id);
+  }
+  for (std::size_t chunk = 0; chunk < reader.summary().chunks.size(); ++chunk) {
+    mcap::Reader(path()).read_chunk(chunk, [&](const mcap::Message& message) {
+      if (reader.summary().channels.at(message.channel_id).topic == "numbers") bytes += message.data.size();
+    });
+  }
+  EXPECT_EQ(record.messages, written);
+  EXPECT_EQ(record.bytes, bytes);
+  const std::string count = std::to_string(record.beyond_limit);
+  EXPECT_EQ(missing_of(path()).at("numbers"), count + " (beyond the limit " + count + ")");
 }
 
 /// A disk that is full after so many bytes.
@@ -151,6 +203,56 @@ TEST_F(RecordDiskTest, EachPartOfASplitRecordingStandsAlone) {
     read += static_cast<std::uint64_t>(std::ranges::count(topics, "numbers"));
   }
   EXPECT_EQ(read, published);
+}
+
+TEST_F(RecordDiskTest, EachPartSaysWhatIsMissingOfIt) {
+  RecorderOptions options;
+  options.file = to_file(path());
+  options.file.split = true;
+  options.file.max_bytes = 30'000;
+  options.file.writer.chunk_bytes = 1000;
+  const auto engine = connect("engine");
+  bus_test::NumberPublisher numbers(engine, "numbers"), pictures(engine, "pictures");
+  const auto slab = engine->create_slab("ring", 1, 1024);
+  const auto recorder = record(options);
+  std::uint64_t published = 0, gone = 0;
+  // Of the first part one is missing, of the second two, of the third none.
+  for (unsigned part = 0; part < 3; ++part) {
+    for (unsigned i = 0; i < (part + 1) % 3; ++i) {
+      const auto old = bus_test::write_floats(*slab, {1});
+      const auto newer = bus_test::write_floats(*slab, {2});
+      publish_number(pictures, 1, false, "", {old});
+      poll_until(*recorder, "pictures", ++gone);
+    }
+    while (recorder->state().parts == part + 1) {
+      publish_number(numbers, published++);
+      poll_until(*recorder, "numbers", published);
+      ASSERT_LT(published, 40'000U);
+    }
+    ASSERT_TRUE(eventually([&] { return recorder->state().queued_bytes == 0; }));
+  }
+  recorder->finish();
+  EXPECT_EQ(recorder->state().topics.at("pictures").overwritten, 3U);
+  const auto of_part = [&](unsigned part) {
+    return missing_of(path().string() + (part == 0 ? "" : std::to_string(part)));
+  };
+  EXPECT_EQ(of_part(0), (mcap::StringMap{{"pictures", "1 (overwritten 1)"}}));
+  EXPECT_EQ(of_part(1), (mcap::StringMap{{"pictures", "2 (overwritten 2)"}}));
+  EXPECT_EQ(of_part(2), mcap::StringMap());
+  EXPECT_EQ(of_part(3), mcap::StringMap());
+}
+
+TEST(RecordVerb, PartsNeedASize) {
+  const auto parse = [](std::vector<std::string> arguments) {
+    CLI::App app;
+    Action action;
+    add_record_verb(app, action);
+    std::ranges::reverse(arguments);
+    app.parse(arguments);
+  };
+  EXPECT_THROW(parse({"record", "--split"}), CLI::RequiresError);
+  EXPECT_THROW(parse({"record", "--split", "--max-mb", "0"}), CLI::ValidationError);
+  EXPECT_NO_THROW(parse({"record", "--split", "--max-mb", "5"}));
 }
 
 TEST_F(RecordDiskTest, ARecorderThatDiesLeavesWhatItHadWritten) {
