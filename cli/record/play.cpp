@@ -6,12 +6,15 @@
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <nlohmann/json.hpp>
+#include <optional>
 #include <stdexcept>
 
 #include "bus/heartbeat_thread.h"
 #include "bus/log_sink.h"
+#include "keyboard.h"
 #include "player.h"
 #include "supervised_run.h"
+#include "terminal.h"
 #include "verbs.h"
 #include "wire/system_generated.h"
 
@@ -63,6 +66,11 @@ PlayOptions play_options(const PlayVerbOptions& options, const std::set<std::str
   return result;
 }
 
+std::string live_line(const PlayState& state) {
+  return fmt::format("{:8.2f} s  {} messages{}", state.position_s, state.messages,
+                     state.paused ? "  paused: space goes on, s or the right arrow plays one message" : "");
+}
+
 void print_summary(const PlayVerbOptions& options, const PlayState& state) {
   if (options.json) {
     fmt::print("{}\n", Json{{"messages", state.messages},
@@ -99,11 +107,24 @@ int play(const PlayVerbOptions& options) {
   {
     bus::HeartbeatThread heartbeats(service, "play");
     Player player(reader, address, settled);
+    std::optional<Keyboard> keyboard;
+    if (Keyboard::is_there()) {
+      keyboard.emplace([&](char key) {
+        if (key == ' ') player.toggle_pause();
+        if (key == 's' || key == Keyboard::kRight) player.step();
+      });
+    }
+    const bool shows = keyboard && is_terminal(STDERR_FILENO);
+    ProgressLine line;
     state = player.run(signals.stop(), [&](const PlayState& now) {
       service.counter("position_s", now.position_s);
       service.counter("messages", static_cast<double>(now.messages));
       service.counter("loops", static_cast<double>(now.loops));
+      service.detail(now.paused ? "paused" : "");
+      if (shows) line.show(live_line(now));
     });
+    keyboard.reset();
+    line.finish();
     if (state.unreadable > 0) {
       spdlog::warn("{} messages or chunks could not be played, the first: {}", state.unreadable, state.first_problem);
     }

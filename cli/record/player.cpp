@@ -72,7 +72,8 @@ PlayState Player::run(const std::stop_token& stop, const std::function<void(cons
     const std::uint64_t before = state_.messages;
     if (options_.start_s > 0) say_latched(begin_log_time_);
     play_once(stop);
-    if (options_.loop) wait_until(begin_ns_ + kMinLoopNs, stop);  // one that is over at once would flood the bus
+    // One that is over at once would flood the bus.
+    if (options_.loop && wait_until(begin_ns_ + kMinLoopNs, stop)) step();
     ++state_.loops;
     if (state_.messages == before) break;  // nothing to play: not for ever
   } while (options_.loop && !stop.stop_requested());
@@ -133,17 +134,39 @@ void Player::play_once(const std::stop_token& stop) {
       reader_.read_chunk(chunk, [&](const mcap::Message& message) {
         if (stop.stop_requested() || message.log_time < begin_log_time_ || message.log_time > end_log_time_) return;
         if (!is_wanted(summary.channels.at(message.channel_id))) return;
-        wait_until(due_ns(message.log_time), stop);
+        const bool stepped = wait_until(due_ns(message.log_time), stop);
         hold(message.log_time, stop);
         if (stop.stop_requested()) return;
         state_.position_s = static_cast<double>(message.log_time - summary.statistics.message_start_time) / 1e9;
+        const std::uint64_t before = state_.messages;
         take(summary.channels.at(message.channel_id), message.data);
+        if (!stepped) return;
+        if (state_.messages == before) step();  // that was one that is not played
+        report(bus::now_ns());
       });
     } catch (const mcap::Error& error) {
       note(error.what());
     }
   }
-  wait_until(due_ns(std::max(begin_log_time_, end_log_time_)), stop);
+  if (wait_until(due_ns(std::max(begin_log_time_, end_log_time_)), stop)) step();
+}
+
+void Player::toggle_pause() {
+  const std::scoped_lock lock(mutex_);
+  paused_ = !paused_;
+  steps_ = 0;
+  changed_.notify_all();
+}
+
+void Player::step() {
+  const std::scoped_lock lock(mutex_);
+  if (paused_) ++steps_;
+  changed_.notify_all();
+}
+
+void Player::report(std::int64_t now_ns) {
+  each_second_(state_);
+  next_second_ns_ = now_ns + kSecondNs;
 }
 
 std::int64_t Player::due_ns(std::uint64_t log_time) const {
@@ -158,20 +181,37 @@ void Player::hold(std::uint64_t log_time, const std::stop_token& stop) {
   held_ns_ += bus::now_ns() - from_ns;
 }
 
-void Player::wait_until(std::int64_t time_ns, const std::stop_token& stop) {
-  for (std::int64_t now = bus::now_ns(); !stop.stop_requested(); now = bus::now_ns()) {
-    if (now >= next_second_ns_) {
-      each_second_(state_);
-      next_second_ns_ = now + kSecondNs;
-    }
-    if (now >= time_ns) {
-      state_.late_ns = std::max(state_.late_ns, now - time_ns);
-      return;
-    }
+bool Player::wait_until(std::int64_t time_ns, const std::stop_token& stop) {
+  std::int64_t before = bus::now_ns();
+  for (std::int64_t now = before; !stop.stop_requested(); now = bus::now_ns()) {
+    if (now >= next_second_ns_) report(now);
     std::unique_lock lock(mutex_);
-    changed_.wait_for(lock, stop, std::chrono::nanoseconds(std::min(time_ns, next_second_ns_) - now),
-                      [] { return false; });
+    const bool paused = paused_;
+    if (state_.paused) {  // what has passed since then does not count
+      time_ns += now - before;
+      held_ns_ += now - before;
+    }
+    before = now;
+    if (paused != state_.paused) {
+      state_.paused = paused;
+      lock.unlock();
+      report(now);
+      continue;
+    }
+    if (paused && steps_ > 0) {
+      --steps_;
+      held_ns_ += now - time_ns;
+      return true;
+    }
+    if (!paused && now >= time_ns) {
+      state_.late_ns = std::max(state_.late_ns, now - time_ns);
+      return false;
+    }
+    const std::int64_t until_ns = paused ? next_second_ns_ : std::min(time_ns, next_second_ns_);
+    changed_.wait_for(lock, stop, std::chrono::nanoseconds(until_ns - now),
+                      [&] { return paused_ != paused || steps_ > 0; });
   }
+  return false;
 }
 
 bool Player::is_wanted(const mcap::Channel& channel) const {

@@ -45,18 +45,24 @@ struct PlayState {
   std::uint64_t without_tensors = 0;             ///< not played: their tensors were not recorded
   std::uint64_t unreadable = 0;                  ///< not played: damaged, or no messages of the bus
   std::string first_problem;                     ///< of the latter
+  bool paused = false;
 };
 
 /// Publishes a recording on a bus. Each recorded source speaks through a connection of its own under its name, tensors
 /// lie in slabs of that connection, and headers say this machine's epoch, sequence and times, so that a reader cannot
-/// tell it from the processes that were recorded. One thread.
+/// tell it from the processes that were recorded. One thread, but for toggle_pause() and step().
 class Player {
  public:
   /// `reader` stays.
   Player(mcap::Reader& reader, bus::Address address, PlayOptions options);
 
-  /// Returns at the end, and when `stop` is asked for. `each_second(state)`. Throws std::runtime_error when a slab
-  /// cannot be made.
+  /// Pauses, or goes on where it paused.
+  void toggle_pause();
+  /// While it pauses: plays the next message. Going on, those behind it keep their distance from it.
+  void step();
+
+  /// Returns at the end, and when `stop` is asked for. `each_second(state)`, and when it pauses, steps or goes on.
+  /// Throws std::runtime_error when a slab cannot be made.
   PlayState run(const std::stop_token& stop, const std::function<void(const PlayState&)>& each_second);
 
  private:
@@ -73,7 +79,9 @@ class Player {
                                                        const RecordedMessage& message);
   Speaker& speaker_of(const std::string& source);
   [[nodiscard]] std::int64_t due_ns(std::uint64_t log_time) const;
-  void wait_until(std::int64_t time_ns, const std::stop_token& stop);
+  /// True when it was not waited for, but stepped to.
+  bool wait_until(std::int64_t time_ns, const std::stop_token& stop);
+  void report(std::int64_t now_ns);
   void hold(std::uint64_t log_time, const std::stop_token& stop);
   void note(const std::string& problem);
 
@@ -86,13 +94,15 @@ class Player {
   std::map<std::string, Speaker> speakers_;
   std::size_t rings_ = 0;
   std::int64_t begin_ns_ = 0;  ///< of this loop
-  std::int64_t held_ns_ = 0;   ///< in it, by PlayOptions::hold
+  std::int64_t held_ns_ = 0;   ///< in it, by PlayOptions::hold and by pauses; less what steps went ahead
   std::uint64_t begin_log_time_ = 0, end_log_time_ = 0;
   PlayState state_;
   std::function<void(const PlayState&)> each_second_;
   std::int64_t next_second_ns_ = 0;
   std::mutex mutex_;
   std::condition_variable_any changed_;
+  bool paused_ = false;      ///< these two are others' to change
+  std::uint64_t steps_ = 0;  ///< that are still to be taken
 };
 
 }  // namespace splatbus::cli
