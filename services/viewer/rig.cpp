@@ -8,7 +8,8 @@ namespace {
 
 constexpr float kSteepest = 1.5F;
 constexpr float kNearest_m = 0.05F, kFarthest_m = 1e4F;
-constexpr float kSpeed = 0.8F;  // distances to the target a second
+constexpr float kSpeed = 0.8F;   // distances to the target a second
+constexpr float kSlowest_m = 1;  // a second: who looks at a thing from near wants to leave it, too
 constexpr float kFaster = 4;
 constexpr float kFramed = 0.75F;       // of the sphere about all: its corners are empty
 constexpr float kSmoothing_s = 0.06F;  // of the way to the goal 1/e is left after this
@@ -86,9 +87,8 @@ void Rig::zoom(float factor) {
 
 void Rig::fly(const RigMotion& motion, float seconds) {
   RigPose pose = goal_;
-  const float step_m = kSpeed * (motion.fast ? kFaster : 1) * pose.distance_m * seconds;
-  const glm::vec3 ahead(-std::cos(pose.yaw), 0, -std::sin(pose.yaw));
-  pose.target_m += step_m * (motion.right * pose.right() + motion.ahead * ahead + glm::vec3(0, motion.up, 0));
+  const float step_m = std::max(kSpeed * pose.distance_m, kSlowest_m) * (motion.fast ? kFaster : 1) * seconds;
+  pose.target_m += step_m * (motion.right * pose.right() - motion.ahead * pose.backward() + glm::vec3(0, motion.up, 0));
   move(pose);
 }
 

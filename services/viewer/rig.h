@@ -21,7 +21,7 @@ struct RigPose {
   [[nodiscard]] static RigPose of(const Camera& camera);
 };
 
-/// Of the full speed, each in [-1, 1].
+/// To the right, up as the world has it, and to where one looks, each in [-1, 1] of the full speed.
 struct RigMotion {
   float right = 0, up = 0, ahead = 0;
   bool fast = false;

@@ -5,7 +5,6 @@
 #include <GLFW/glfw3.h>
 #include <fmt/format.h>
 
-#include <array>
 #include <cstdlib>
 #include <exception>
 #include <utility>
@@ -14,6 +13,7 @@
 #include "bus/error.h"
 #include "gaussians/player.h"
 #include "metrics/image_io.h"
+#include "viewer/full_screen.h"
 #include "viewer/steering.h"
 #include "viewer/ui/kept_picture.h"
 #include "viewer/ui/panels.h"
@@ -47,7 +47,7 @@ struct Window::Impl {
   bool damaged = false;  // by another window that was over it
   std::optional<std::string> save;
   std::int64_t swapped_ns = 0;
-  std::array<int, 4> windowed{};  // x, y, width, height before it was full screen
+  FullScreen full_screen;
 
   explicit Impl(const Camera& camera) : steering(camera) {}
 
@@ -65,7 +65,7 @@ struct Window::Impl {
     if (which == GLFW_KEY_P) act(Action::Snapshot);
     if (which == GLFW_KEY_V || which == GLFW_KEY_F11) act(Action::FullScreen);
     if (which != GLFW_KEY_ESCAPE || panels->close()) return;
-    if (glfwGetWindowMonitor(window)) return toggle_full_screen();
+    if (FullScreen::is(window)) return full_screen.toggle(window);
     glfwSetWindowShouldClose(window, GLFW_TRUE);
   }
 
@@ -75,7 +75,7 @@ struct Window::Impl {
         frame_all = true;
         break;
       case Action::FullScreen:
-        toggle_full_screen();
+        full_screen.toggle(window);
         break;
       case Action::Snapshot:
         save_picture();
@@ -84,8 +84,9 @@ struct Window::Impl {
         panels->toggle_figures();
         break;
       case Action::Follow:
+        if (!steering.following() && !panels->content.player) return panels->say(texts::kNoPlayer);
         steering.toggle_follow();
-        if (steering.following()) panels->say(panels->content.player ? texts::kFollowing : texts::kNoPlayer);
+        if (steering.following()) panels->say(texts::kFollowing);
         break;
       case Action::SavePly:
         save = ".ply";
@@ -114,24 +115,10 @@ struct Window::Impl {
     }
   }
 
-  void toggle_full_screen() {
-    auto& [left, top, width, height] = windowed;
-    if (glfwGetWindowMonitor(window)) {
-      glfwSetWindowMonitor(window, nullptr, left, top, width, height, GLFW_DONT_CARE);
-      return;
-    }
-    GLFWmonitor* monitor = glfwGetPrimaryMonitor();
-    const GLFWvidmode* mode = monitor ? glfwGetVideoMode(monitor) : nullptr;
-    if (!mode) return;
-    glfwGetWindowPos(window, &left, &top);
-    glfwGetWindowSize(window, &width, &height);
-    glfwSetWindowMonitor(window, monitor, 0, 0, mode->width, mode->height, mode->refreshRate);
-  }
-
   /// Framebuffer 0 has the picture.
   void present(bool new_picture) {
     panels->content.following = steering.following();
-    panels->content.full_screen = glfwGetWindowMonitor(window) != nullptr;
+    panels->content.full_screen = FullScreen::is(window);
     const Settings before = panels->content.settings;
     const std::vector<Action> actions = panels->draw(new_picture);
     picture_due = picture_due || !(panels->content.settings == before);

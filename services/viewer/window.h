@@ -14,10 +14,10 @@
 namespace splatbus::viewer {
 
 /// A GLFW window with a camera that a person steers, as the page's. Left button: about the target; another one, or
-/// Shift: along the picture. Wheel, + and -: nearer or farther. W A S D Q E: move, with Shift faster. Arrows: look
-/// about. F: all is framed. G: goes along with the engine's player. V or F11: full screen. P: the picture is saved. I:
-/// figures, M: menu, where the build has Dear ImGui. Escape: closes the menu, leaves full screen, or closes. Its OpenGL
-/// context is current on the thread that made it. Main thread only; one a process.
+/// Shift: along the picture. Wheel, + and -: nearer or farther. W A S D Q E: move, ahead to where one looks, with Shift
+/// faster. Arrows: look about. F: all is framed. G: goes along with the engine's player. V or F11: full screen. P: the
+/// picture is saved. I: figures, M: menu, where the build has Dear ImGui. Escape: closes the menu, leaves full screen,
+/// or closes. Its OpenGL context is current on the thread that made it. Main thread only; one a process.
 class Window {
  public:
   enum class For { Pictures, Splats };

@@ -23,7 +23,7 @@ inline constexpr std::array kBackgrounds{"The scene's", "Black", "Gray", "White"
 inline constexpr const char* kSaveModel = "Save the model";
 inline constexpr const char* kKeys = "Keys";
 inline constexpr std::array kKeyList{
-    std::pair{"W A S D", "move"},
+    std::pair{"W A S D", "move; ahead is where you look"},
     std::pair{"Q E", "down, up"},
     std::pair{"Shift", "faster"},
     std::pair{"Arrows", "turn; in the menu, choose"},

@@ -38,15 +38,34 @@ TEST(Rig, PansByAsManyPixels) {
   EXPECT_NEAR(at.y, 300 - 20, 0.01);
 }
 
-TEST(Rig, FliesLevelAndFasterWithShift) {
+TEST(Rig, FliesToWhereItLooksAndFasterWithShift) {
   Rig rig{RigPose{}};
   const glm::vec3 before = rig.goal().target_m;
+  const Camera camera = rig.camera(640, 480, 1);
   rig.fly({.ahead = 1}, 0.5F);
   const glm::vec3 step = rig.goal().target_m - before;
-  EXPECT_EQ(step.y, 0);
-  EXPECT_LT(glm::dot(step, rig.goal().backward()), 0);
+  const glm::vec3 looks = camera.world_from_camera.rotation * glm::vec3(0, 0, 1);
+  EXPECT_NEAR(glm::distance(step / glm::length(step), looks), 0, 1e-5);
   rig.fly({.ahead = 1, .fast = true}, 0.5F);
   EXPECT_NEAR(glm::length(rig.goal().target_m - before), 5 * glm::length(step), 1e-3);
+}
+
+TEST(Rig, RisesAsTheWorldHasIt) {
+  Rig rig{RigPose{}};
+  const glm::vec3 before = rig.goal().target_m;
+  rig.fly({.up = 1}, 0.5F);
+  const glm::vec3 step = rig.goal().target_m - before;
+  EXPECT_EQ(step.x, 0);
+  EXPECT_EQ(step.z, 0);
+  EXPECT_GT(step.y, 0);
+}
+
+TEST(Rig, LeavesWhatIsNearAtAMetreASecond) {
+  RigPose near;
+  near.distance_m = 0.05F;
+  Rig rig{near};
+  rig.fly({.right = 1}, 0.5F);
+  EXPECT_NEAR(glm::distance(rig.goal().target_m, near.target_m), 0.5F, 1e-5);
 }
 
 TEST(Rig, FramesASphere) {

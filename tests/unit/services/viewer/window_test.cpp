@@ -140,6 +140,23 @@ TEST_F(WindowTest, ThePlayerIsFollowedAndAllIsShown) {
   EXPECT_GT(cv::mean(display_->screen()(kPicture))[1], 1);
 }
 
+TEST_F(WindowTest, WhoAskedForAPlayerBeforeThereIsOneStaysWhereHeIs) {
+  start();
+  const Rigid before = resting_pose();
+  Display::act("key g");
+  ASSERT_TRUE(soon([&] { return log().find("offers no player") != std::string::npos; })) << log();
+  SceneState scene{.light = {.generation = 2}, .objects = {}, .version = 9};
+  scene.light.ambient_sh[0] = glm::vec3(1);
+  scene.objects[kPlayerId].rigid = look_at({1, 1.5F, 2}, {0, 0.2F, 0}, 64, 64, 1).world_from_camera;
+  trainer_.publish_scene(scene);
+  EXPECT_EQ(resting_pose(), before);
+  open_menu();
+  press_times("Down", 3);
+  EXPECT_EQ(resting_pose(), before);
+  press("space");
+  EXPECT_LT(glm::distance(resting_pose().translation, {1, 1.5F, 2}), 0.01F) << "the player had come";
+}
+
 TEST_F(WindowTest, FullScreenComesAndGoes) {
   start();
   open_menu();
