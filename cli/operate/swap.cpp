@@ -36,6 +36,32 @@ const char* words_of(Swap::Phase phase) {
   return "?";
 }
 
+/// Until the swap is done or refused, or `stop` is asked for.
+void follow(Swap& swap, SwapHost& host, bus::Subscriber& heartbeats, const bus::Publisher& publisher,
+            const std::function<void(const std::string&)>& tell, const std::stop_token& stop) {
+  heartbeats.on(topics::kHeartbeat, [&](const wire::Heartbeat& heard, const bus::Message& message) {
+    swap.hear({.source = message.header().source()->str(),
+               .pid = static_cast<pid_t>(heard.pid()),
+               .state = heard.state(),
+               .protocol = heard.protocol(),
+               .detail = heard.detail() != nullptr ? heard.detail()->str() : ""},
+              bus::now_ns());
+  });
+  std::optional<Swap::Phase> told;
+  while (!swap.over() && !stop.stop_requested()) {
+    if (told != swap.phase()) tell(words_of(*(told = swap.phase())));
+    heartbeats.dispatch_all(kTurn);
+    if (const auto how = host.successor_end()) swap.successor_ended(*how);
+    if (host.predecessor_ended()) swap.predecessor_ended(bus::now_ns());
+    const auto order = swap.turn(bus::now_ns());
+    if (!order) continue;
+    const std::string topic = "control/" + order->source;
+    publisher.publish(topics::control(topic), [&](auto& builder, auto header) {
+      return wire::CreateControl(builder, header, 0, order->order, static_cast<std::uint32_t>(order->pid));
+    });
+  }
+}
+
 }  // namespace
 
 Swap::Swap(std::string name, pid_t predecessor, pid_t successor, const SwapLimits& limits, std::int64_t now_ns)
@@ -115,37 +141,27 @@ void run_swap(SwapHost& host, const std::shared_ptr<bus::Context>& bus, const st
               const std::stop_token& stop) {
   bus::Subscriber heartbeats(bus);
   const bus::Publisher publisher(bus);
-  const pid_t successor = host.start_successor();
-  Swap swap(name, host.predecessor(), successor, limits, bus::now_ns());
-  heartbeats.on(topics::kHeartbeat, [&](const wire::Heartbeat& heard, const bus::Message& message) {
-    swap.hear({.source = message.header().source()->str(),
-               .pid = static_cast<pid_t>(heard.pid()),
-               .state = heard.state(),
-               .protocol = heard.protocol(),
-               .detail = heard.detail() != nullptr ? heard.detail()->str() : ""},
-              bus::now_ns());
-  });
-  std::optional<Swap::Phase> told;
-  while (!swap.over() && !stop.stop_requested()) {
-    if (told != swap.phase()) tell(words_of(*(told = swap.phase())));
-    heartbeats.dispatch_all(kTurn);
-    if (const auto how = host.successor_end()) swap.successor_ended(*how);
-    if (host.predecessor_ended()) swap.predecessor_ended(bus::now_ns());
-    const auto order = swap.turn(bus::now_ns());
-    if (!order) continue;
-    const std::string topic = "control/" + order->source;
-    publisher.publish(topics::control(topic), [&](auto& builder, auto header) {
-      return wire::CreateControl(builder, header, 0, order->order, static_cast<std::uint32_t>(order->pid));
-    });
+  const pid_t predecessor = host.predecessor(), successor = host.start_successor();
+  Swap swap(name, predecessor, successor, limits, bus::now_ns());
+  std::string why;
+  bool done = false;
+  try {
+    follow(swap, host, heartbeats, publisher, tell, stop);
+    why = swap.over() ? swap.refusal() : "interrupted";
+    if (swap.phase() == Swap::Phase::Done) {
+      host.exchange();
+      done = true;
+    }
+  } catch (const std::exception& error) {
+    why = error.what();  // a successor that stayed would have every later order refused
   }
-  if (swap.phase() == Swap::Phase::Done) {
-    host.exchange();
+  if (done) {
     tell(words_of(Swap::Phase::Done));
     return;
   }
   host.drop_successor();
   if (swap.has_yielded()) host.restart_predecessor();
-  throw std::runtime_error(fmt::format("{}{}", swap.over() ? swap.refusal() : "interrupted",
+  throw std::runtime_error(fmt::format("{}{}", why,
                                        swap.has_yielded() ? fmt::format("; {} was started again as it was", name)
                                                           : fmt::format("; {} goes on as it was", name)));
 }

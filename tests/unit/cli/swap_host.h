@@ -13,7 +13,7 @@
 namespace splatbus::cli {
 
 /// Has two processes and no policy of its own.
-class ChildSwapHost final : public SwapHost {
+class ChildSwapHost : public SwapHost {
  public:
   ChildSwapHost(pid_t predecessor, std::string program, std::vector<std::string> arguments)
       : predecessor_(predecessor), program_(std::move(program)), arguments_(std::move(arguments)) {}

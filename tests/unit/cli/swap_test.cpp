@@ -170,6 +170,41 @@ TEST_F(SwapProcesses, OneOfAnotherProtocolIsRefused) {
               HasSubstr("speaks version 2 of the protocol, this bus version 1"));
 }
 
+/// Loses sight of its processes at a phase of the swap.
+class BlindHost final : public ChildSwapHost {
+ public:
+  using ChildSwapHost::ChildSwapHost;
+  [[nodiscard]] std::optional<std::string> successor_end() override {
+    if (blind) throw std::runtime_error("nothing can be seen");
+    return ChildSwapHost::successor_end();
+  }
+  void exchange() override { throw std::runtime_error("there is nobody beside it"); }
+  bool blind = false;
+};
+
+TEST_F(SwapProcesses, WhatIsThrownLeavesNoSuccessorBeside) {
+  ASSERT_TRUE(runs(old_.pid()));
+  const auto why = [&](BlindHost& host) -> std::string {
+    try {
+      run_swap(host, context_, "test", {}, [](const std::string&) {}, {});
+    } catch (const std::runtime_error& error) {
+      return error.what();
+    }
+    return "nothing was thrown";
+  };
+  BlindHost blind(old_.pid(), bin("bus-test-service"), arguments({"--successor"}));
+  blind.blind = true;
+  EXPECT_EQ(why(blind), "nothing can be seen; test goes on as it was");
+  EXPECT_FALSE(blind.successor.has_value());
+  EXPECT_FALSE(blind.restarted) << "it was not told to leave";
+  EXPECT_TRUE(runs(old_.pid()));
+
+  BlindHost alone(old_.pid(), bin("bus-test-service"), arguments({"--successor"}));
+  EXPECT_EQ(why(alone), "there is nobody beside it; test was started again as it was");
+  EXPECT_FALSE(alone.successor.has_value());
+  EXPECT_TRUE(alone.restarted) << "it has left";
+}
+
 TEST_F(SwapProcesses, AStraySecondOneTakesNothing) {
   ASSERT_TRUE(runs(old_.pid()));
   ChildProcess stray(bin("bus-test-service"), arguments({}), {});
