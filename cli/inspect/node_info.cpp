@@ -20,17 +20,17 @@ namespace splatbus::cli {
 namespace {
 
 using Json = nlohmann::json;
-constexpr double kPatienceS = 5;
+constexpr double kPatienceS = 5, kSupervisorPatienceS = 2;
 
-/// What the supervisor says of a process; null where there is none, or it does not know that name.
+/// What the supervisor says of a process; null where there is none, it does not answer, or does not know that name.
 Json supervised(const bus::Address& bus, const std::string& name) {
   try {
-    const Json answer = ask_supervisor(bus, {{"verb", "status"}});
+    const Json answer = ask_supervisor(bus, {{"verb", "status"}}, {}, kSupervisorPatienceS);
     for (const Json& process : answer.at("services")) {
       if (process.value("name", "") == name) return process;
     }
-  } catch (const NoSupervisor&) {
-    // A bus may run without.
+  } catch (const NoSupervisor&) {      // a bus may run without
+  } catch (const SupervisorSilent&) {  // what the bus says is shown all the same
   }
   return nullptr;
 }
@@ -110,8 +110,8 @@ std::string find_node(const std::map<std::string, NodeState>& nodes, const std::
   }
   if (of_kind.size() == 1) return of_kind.front();
   const std::string known = of_kind.empty() ? bus::suggestion(name, sources) : bus::suggestion("", of_kind);
-  throw std::runtime_error(
-      fmt::format("{} '{}' on this bus{}", of_kind.empty() ? "no process" : "several processes are a", name, known));
+  throw std::runtime_error(fmt::format("{} '{}' on this bus{}",
+                                       of_kind.empty() ? "no process" : "several processes are of kind", name, known));
 }
 
 int node_info(const NodeInfoOptions& options) {

@@ -50,11 +50,12 @@ Supervisor::Supervisor(LaunchPlan plan, Output output, Clock now_ns)
   heartbeats_.on(topics::kHeartbeat, [this](const wire::Heartbeat& heartbeat, const bus::Message& message) {
     take(heartbeat, message.header().source()->string_view());
   });
-  for (const ProcessPlan& process : plan.processes) first_names_.push_back(process.name);
+  std::vector<std::string> names;
+  for (const ProcessPlan& process : plan.processes) names.push_back(process.name);
   for (ProcessPlan& process_plan : plan.processes) {
     Process& process = processes_.emplace_back();
     process.name = process_plan.name;
-    for (const std::size_t index : process_plan.after) process.after.push_back(first_names_.at(index));
+    for (const std::size_t index : process_plan.after) process.after.push_back(names.at(index));
     process.life->plan = std::move(process_plan);
   }
   publish_status();

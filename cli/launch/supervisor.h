@@ -97,8 +97,10 @@ class Supervisor {
   void start(const std::string& name);    ///< nothing when it runs already
   void stop(const std::string& name);     ///< SIGTERM, later SIGKILL; stays stopped
   void restart(const std::string& name);  ///< forgets earlier ends; starts what does not run
-  void add(ProcessPlan plan);            ///< one more process; those of its `after` are named by the first plan's index
-  void remove(const std::string& name);  ///< stops it, and forgets it when it has ended
+  /// One more process, which starts after those named; one that is not there (any more) is not waited for. The plan's
+  /// own `after` counts for nothing: it has indices of a plan that is not known here.
+  void add(ProcessPlan plan, std::vector<std::string> after);
+  void remove(const std::string& name);                        ///< stops it, and forgets it when it has ended
   [[nodiscard]] ProcessPlan plan_of(const std::string& name);  ///< that it runs by, or would
   /// Of the plan that it is started by the next time.
   void change_plan(const std::string& name, const std::function<void(ProcessPlan&)>& change);
@@ -198,7 +200,6 @@ class Supervisor {
   void reap_beside(Process& process);
 
   std::list<Process> processes_;
-  std::vector<std::string> first_names_;  ///< of the plan, whose indices `after` has
   Output output_;
   Clock now_ns_;
   bus::Subscriber heartbeats_;

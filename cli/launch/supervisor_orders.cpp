@@ -134,15 +134,15 @@ void Supervisor::restart(const std::string& name) {
   });
 }
 
-void Supervisor::add(ProcessPlan plan) {
-  order([this, &plan] {
+void Supervisor::add(ProcessPlan plan, std::vector<std::string> after) {
+  order([this, &plan, &after] {
     for (const Process& process : processes_) {
       if (process.name == plan.name)
         throw std::runtime_error(fmt::format("there is a process '{}' already", plan.name));
     }
     Process& process = processes_.emplace_back();
     process.name = plan.name;
-    for (const std::size_t index : plan.after) process.after.push_back(first_names_.at(index));
+    process.after = std::move(after);
     process.life->plan = std::move(plan);
   });
 }

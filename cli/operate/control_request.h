@@ -9,13 +9,19 @@
 
 namespace splatbus::cli {
 
-/// Asks the supervisor of a bus, and returns its answer; what it says in between goes to `progress`. Throws
-/// NoSupervisor, and std::runtime_error with the supervisor's reason when it refuses.
-[[nodiscard]] nlohmann::json ask_supervisor(const bus::Address& bus, nlohmann::json request,
-                                            const std::function<void(const std::string&)>& progress = {});
+/// In which a supervisor answers that has nothing to wait for.
+inline constexpr double kAnswerWithinS = 10;
 
-/// Asks it to stop everything, and returns when it has gone.
-void stop_supervisor(const bus::Address& bus);
+/// Asks the supervisor of a bus, and returns its answer; what it says in between goes to `progress`. Throws
+/// NoSupervisor, SupervisorSilent when it says nothing for `answer_within_s` beyond what the request lets it take, and
+/// std::runtime_error with the supervisor's reason when it refuses.
+[[nodiscard]] nlohmann::json ask_supervisor(const bus::Address& bus, nlohmann::json request,
+                                            const std::function<void(const std::string&)>& progress = {},
+                                            double answer_within_s = kAnswerWithinS);
+
+/// Asks it to stop everything, and returns its answer when it has gone. Throws as ask_supervisor(), and when it has not
+/// gone within `wait_s`: then with what still runs, which goes on being stopped.
+[[nodiscard]] nlohmann::json stop_supervisor(const bus::Address& bus, double wait_s);
 
 /// A line or an event of a process as a JSON object of one line: {"time", "service", "line"} or {"time", "service",
 /// "event", "text", "pid", "status" or "signal", "restart_in_s"}.

@@ -11,6 +11,7 @@
 #include <algorithm>
 #include <array>
 #include <cerrno>
+#include <cstdint>
 #include <cstdlib>
 #include <cstring>
 #include <nlohmann/json.hpp>
@@ -27,7 +28,7 @@ namespace fs = std::filesystem;
 using Json = nlohmann::json;
 
 constexpr std::size_t kLongestLine = std::size_t{1} << 22;
-constexpr timeval kSendTimeout{5, 0};
+constexpr timeval kSendTimeout{5, 0};  // of connections too
 
 sockaddr_un socket_address(const fs::path& path) {
   sockaddr_un address{};
@@ -47,6 +48,13 @@ bus::FileDescriptor make_socket() {
 pid_t read_holder(int file) {
   std::array<char, 32> text{};
   return pread(file, text.data(), text.size() - 1, 0) > 0 ? std::atoi(text.data()) : 0;
+}
+
+/// Who listens at the other end; 0 where that cannot be said.
+pid_t peer_of(int socket) {
+  ucred peer{};
+  socklen_t size = sizeof(peer);
+  return getsockopt(socket, SOL_SOCKET, SO_PEERCRED, &peer, &size) == 0 ? peer.pid : 0;
 }
 
 bool is_same_file(const fs::path& path, int fd) {
@@ -79,6 +87,10 @@ SupervisorRuns::SupervisorRuns(const bus::Address& bus, pid_t holder)
 
 NoSupervisor::NoSupervisor(const bus::Address& bus)
     : std::runtime_error(fmt::format("nothing was launched on {} (start it with 'splatbus up FILE')", bus.text())) {}
+
+SupervisorSilent::SupervisorSilent(pid_t pid, double silent_s)
+    : std::runtime_error(fmt::format("the supervisor{} has not answered for {:.3g} s",
+                                     pid != 0 ? fmt::format(" (process {})", pid) : "", silent_s)) {}
 
 ControlListener::ControlListener(const bus::Address& bus) : paths_(control_paths(bus)) {
   bus::require_private_folder(paths_.folder);
@@ -115,6 +127,13 @@ LineSocket::LineSocket(bus::FileDescriptor socket) : socket_(std::move(socket)) 
   setsockopt(socket_.get(), SOL_SOCKET, SO_SNDTIMEO, &kSendTimeout, sizeof(kSendTimeout));
 }
 
+void LineSocket::set_patience(double seconds) {
+  patience_s_ = seconds;
+  const auto us = static_cast<std::int64_t>(seconds * 1e6);
+  const timeval time{.tv_sec = us / 1'000'000, .tv_usec = us % 1'000'000};
+  setsockopt(socket_.get(), SOL_SOCKET, SO_RCVTIMEO, &time, sizeof(time));
+}
+
 std::optional<Json> LineSocket::receive() {
   std::size_t searched = 0;
   for (;;) {
@@ -130,6 +149,7 @@ std::optional<Json> LineSocket::receive() {
     std::array<char, 16384> chunk{};
     const ssize_t got = recv(socket_.get(), chunk.data(), chunk.size(), 0);
     if (got < 0 && errno == EINTR) continue;
+    if (got < 0 && errno == EAGAIN) throw SupervisorSilent(peer_of(socket_.get()), patience_s_);
     if (got <= 0) return {};
     buffer_.append(chunk.data(), static_cast<std::size_t>(got));
   }
@@ -155,8 +175,10 @@ bool LineSocket::send_line(std::string line) {
 LineSocket connect_control(const bus::Address& bus) {
   const sockaddr_un address = socket_address(control_paths(bus).socket);
   bus::FileDescriptor socket = make_socket();
+  setsockopt(socket.get(), SOL_SOCKET, SO_SNDTIMEO, &kSendTimeout, sizeof(kSendTimeout));
   if (connect(socket.get(), reinterpret_cast<const sockaddr*>(&address), sizeof(address)) != 0) {
     if (errno == ENOENT || errno == ECONNREFUSED || errno == ENOTDIR) throw NoSupervisor(bus);
+    if (errno == EAGAIN) throw SupervisorSilent(0, static_cast<double>(kSendTimeout.tv_sec));
     throw bus::Error(
         fmt::format("{}: cannot connect: {}", static_cast<const char*>(address.sun_path), std::strerror(errno)));
   }

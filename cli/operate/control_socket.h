@@ -33,6 +33,12 @@ class NoSupervisor : public std::runtime_error {
   explicit NoSupervisor(const bus::Address& bus);
 };
 
+/// There is a supervisor, and it says nothing: it was stopped by a signal, say.
+class SupervisorSilent : public std::runtime_error {
+ public:
+  SupervisorSilent(pid_t pid, double silent_s);
+};
+
 /// The one place of a bus's supervisor: holds a lock on a file while it lives, so that what a dead one left behind is
 /// known to be stale, and listens. Throws SupervisorRuns, or bus::Error.
 class ControlListener {
@@ -58,7 +64,10 @@ class LineSocket {
   explicit LineSocket(bus::FileDescriptor socket);
 
   [[nodiscard]] int fd() const { return socket_.get(); }
-  /// The next object; nullopt at the end. Throws std::runtime_error on what is no JSON object, or is too long.
+  /// How long receive() waits for what comes next; at first, and with 0, as long as it takes.
+  void set_patience(double seconds);
+  /// The next object; nullopt at the end. Throws SupervisorSilent when nothing comes for too long, and
+  /// std::runtime_error on what is not a JSON object, or is too long.
   [[nodiscard]] std::optional<nlohmann::json> receive();
   /// False when nobody reads any more, or too slowly.
   bool send(const nlohmann::json& object);
@@ -67,9 +76,11 @@ class LineSocket {
  private:
   bus::FileDescriptor socket_;
   std::string buffer_;
+  double patience_s_ = 0;
 };
 
-/// A connection to the supervisor of a bus. Throws NoSupervisor, or bus::Error when it is another user's.
+/// A connection to the supervisor of a bus. Throws NoSupervisor, SupervisorSilent where so many wait for an answer that
+/// there is no room for one more, or bus::Error when it is another user's.
 [[nodiscard]] LineSocket connect_control(const bus::Address& bus);
 
 }  // namespace splatbus::cli

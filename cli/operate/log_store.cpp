@@ -16,10 +16,13 @@
 #include <chrono>
 #include <cstdlib>
 #include <fstream>
+#include <iterator>
 #include <limits>
 #include <optional>
 #include <set>
+#include <span>
 #include <stdexcept>
+#include <utility>
 
 #include "bus/file_descriptor.h"
 
@@ -33,6 +36,7 @@ using Sink = spdlog::sinks::rotating_file_sink_st;
 
 constexpr const char* kPattern = "%Y-%m-%dT%H:%M:%S.%fZ %v";
 constexpr const char* kEventMark = " * ";
+constexpr std::uintmax_t kAll = std::numeric_limits<std::uintmax_t>::max();
 
 fs::path current_file(const fs::path& folder, const std::string& process) {
   return folder / (process + ".log");
@@ -54,14 +58,56 @@ std::vector<fs::path> files_of(const fs::path& folder, const std::string& proces
   return files;
 }
 
-/// The lines of a file's first bytes that are not older than `since`.
-void read_file(const fs::path& file, const std::string& process, const std::string& since, std::uintmax_t bytes,
-               std::vector<StoredLine>& lines) {
+struct Extent {
+  std::string since;  ///< nothing older
+  int tail = -1;      ///< >= 0: so many of the last are enough
+};
+
+struct FilePart {
+  std::vector<StoredLine> lines;
+  bool enough = false;  ///< what stands before in this file, or in older ones, is not wanted
+};
+
+/// What is wanted of a file's first bytes: read from the end, and no more of it than about twice what it takes.
+FilePart read_file(const fs::path& file, const std::string& process, const Extent& wanted, std::uintmax_t bytes) {
+  constexpr std::uintmax_t kFirstLook = std::uintmax_t{64} << 10;
+  std::error_code error;
+  bytes = std::min(bytes, fs::file_size(file, error));
   std::ifstream stream(file);
-  std::uintmax_t at = 0;
-  for (std::string text; at < bytes && std::getline(stream, text); at += text.size() + 1) {
-    auto line = parse(process, text);
-    if (line && line->time >= since) lines.push_back(std::move(*line));
+  if (error || !stream) return {};
+  const bool all = wanted.tail < 0 && wanted.since.empty();
+  for (std::uintmax_t look = all ? bytes : std::min(bytes, kFirstLook);; look = std::min(bytes, 2 * look)) {
+    FilePart part;
+    std::string text;
+    std::uintmax_t at = bytes - look;
+    stream.clear();
+    stream.seekg(static_cast<std::streamoff>(at));
+    if (at > 0 && std::getline(stream, text)) at += text.size() + 1;  // the end of a line, mostly
+    for (; at < bytes && std::getline(stream, text); at += text.size() + 1) {
+      auto line = parse(process, text);
+      if (line && line->time < wanted.since) {
+        part.enough = true;
+      } else if (line) {
+        part.lines.push_back(std::move(*line));
+      }
+    }
+    const bool is_tail = wanted.tail >= 0 && part.lines.size() >= static_cast<std::size_t>(wanted.tail);
+    part.enough = part.enough || is_tail;
+    if (part.enough || look == bytes) return part;
+  }
+}
+
+/// Of files from the newest to the oldest; of the newest its first bytes.
+void read_files(std::span<const fs::path> files, const std::string& process, Extent wanted, std::uintmax_t of_newest,
+                std::vector<StoredLine>& lines) {
+  std::vector<FilePart> parts;
+  for (const fs::path& file : files) {
+    parts.push_back(read_file(file, process, wanted, parts.empty() ? of_newest : kAll));
+    if (parts.back().enough) break;
+    if (wanted.tail >= 0) wanted.tail -= static_cast<int>(parts.back().lines.size());
+  }
+  for (auto part = parts.rbegin(); part != parts.rend(); ++part) {
+    std::ranges::move(part->lines, std::back_inserter(lines));
   }
 }
 
@@ -118,10 +164,7 @@ std::vector<StoredLine> read_logs(const fs::path& folder, const std::vector<std:
                                   const std::string& since, int tail) {
   std::vector<StoredLine> lines;
   for (const std::string& process : processes) {
-    const auto files = files_of(folder, process);
-    std::for_each(files.rbegin(), files.rend(), [&](const fs::path& file) {
-      read_file(file, process, since, std::numeric_limits<std::uintmax_t>::max(), lines);
-    });
+    read_files(files_of(folder, process), process, {since, tail}, kAll, lines);
   }
   in_order(lines, tail);
   return lines;
@@ -168,17 +211,13 @@ class LogFollower::Tail {
   }
 
   /// What was there before.
-  void read_before(const fs::path& folder, const std::string& since, std::vector<StoredLine>& lines) const {
+  void read_before(const fs::path& folder, const Extent& wanted, std::vector<StoredLine>& lines) const {
     const auto files = files_of(folder, process_);
     const auto first = std::ranges::find_if(files, [&](const fs::path& file) {
       struct stat status {};
       return stat(file.c_str(), &status) == 0 && status.st_ino == first_inode_;
     });
-    if (first == files.end()) return;
-    for (auto file = files.end(); file-- != first;) {
-      read_file(*file, process_, since, file == first ? first_byte_ : std::numeric_limits<std::uintmax_t>::max(),
-                lines);
-    }
+    if (first != files.end()) read_files({first, files.end()}, process_, wanted, first_byte_, lines);
   }
 
   void pass_new(const std::function<void(const StoredLine&)>& pass) {
@@ -241,7 +280,7 @@ LogFollower::~LogFollower() = default;
 
 std::vector<StoredLine> LogFollower::before(const std::string& since, int tail) const {
   std::vector<StoredLine> lines;
-  for (const auto& [process, end] : tails_) end->read_before(folder_, since, lines);
+  for (const auto& [process, end] : tails_) end->read_before(folder_, {since, tail}, lines);
   in_order(lines, tail);
   return lines;
 }

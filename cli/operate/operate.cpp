@@ -9,7 +9,9 @@
 #include <map>
 #include <nlohmann/json.hpp>
 #include <optional>
+#include <set>
 
+#include "bus/nearest.h"
 #include "control_request.h"
 #include "control_socket.h"
 #include "log_store.h"
@@ -92,16 +94,19 @@ int swap(const OperateOptions& options) {
 }
 
 int down(const OperateOptions& options) {
-  stop_supervisor(bus_address(options.bus));
+  const Json answer = stop_supervisor(bus_address(options.bus), options.wait_s);
+  if (options.json) fmt::print("{}\n", answer.dump());
   return 0;
 }
 
 int attach(const OperateOptions& options) {
   const bus::Address bus = bus_address(options.bus);
   LineSocket socket = connect_control(bus);
+  socket.set_patience(kAnswerWithinS);
   socket.send({{"version", kControlVersion}, {"verb", "attach"}});
   const auto answer = socket.receive();
   if (!answer || !answer->value("ok", false)) throw std::runtime_error("the supervisor does not answer");
+  socket.set_patience(0);  // processes need not print anything
   const PrefixedOutput output({}, !options.json && wants_color(STDOUT_FILENO));
   while (const auto line = socket.receive()) {
     if (options.json) {
@@ -134,8 +139,10 @@ class AskedForLogs {
   void require_each(const std::vector<std::string>& logged) const {
     for (const std::string& service : services_) {
       if (std::ranges::any_of(logged, [&](const std::string& process) { return is_of(process, service); })) continue;
+      std::set<std::string> known(logged.begin(), logged.end());
+      for (const auto& [process, of] : service_of_) known.insert(of);
       throw std::runtime_error(
-          fmt::format("there are no logs of '{}' (there are: {})", service, fmt::join(logged, ", ")));
+          fmt::format("there are no logs of '{}'{}", service, bus::suggestion(service, {known.begin(), known.end()})));
     }
   }
 
@@ -165,6 +172,8 @@ int logs(const OperateOptions& options) {
     running = ask_supervisor(bus, {{"verb", "status"}});
     supervisor.emplace(connect_control(bus));
   } catch (const NoSupervisor&) {
+    if (options.follow) throw;
+  } catch (const SupervisorSilent&) {  // the files are there all the same
     if (options.follow) throw;
   }
   const AskedForLogs asked(options.services, running);
@@ -206,7 +215,8 @@ void add_operate_verbs(CLI::App& app, Action& action) {
     verb->add_option("--timeout", options->wait_s, "seconds to wait for it")->check(CLI::Range(0.0, 86400.0));
     verb->add_flag("--json", options->json, "print the answer as JSON");
   };
-  add("down", "Stop every process, and the supervisor", down);
+  const auto [down_verb, down_options] = add("down", "Stop every process, and the supervisor", down);
+  add_wait(down_verb, down_options);
   const auto [status_verb, status_options] = add("status", "Show what runs", status);
   status_verb->add_flag("--json", status_options->json, "print JSON");
   const auto [attach_verb, attach_options] = add("attach", "Show what the processes print, from now on", attach);

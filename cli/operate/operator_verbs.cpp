@@ -6,10 +6,13 @@
 
 #include <algorithm>
 #include <chrono>
-#include <mutex>
+#include <map>
 #include <nlohmann/json.hpp>
 #include <set>
 #include <utility>
+
+#include "bus/nearest.h"
+#include "substitution.h"
 
 namespace splatbus::cli {
 
@@ -129,31 +132,54 @@ double wait_s(const Json& request) {
   return request.value("wait_s", kDefaultWaitS);
 }
 
+/// What a process of a plan waits for, as the supervisor calls it: there a first replica has the name that it was
+/// started by, whatever it would be called today.
+std::vector<std::string> names_of(const std::vector<std::size_t>& after, const LaunchPlan& plan,
+                                  const Statuses& there) {
+  std::vector<std::string> names;
+  for (const std::size_t index : after) {
+    const ProcessPlan& planned = plan.processes.at(index);
+    for (const ProcessStatus& process : there) {
+      if (process.service == planned.service && process.replica == planned.replica) names.push_back(process.name);
+    }
+  }
+  return names;
+}
+
 Json scale(Operated& operated, const Json& request, const ControlServer::Tell& tell, const std::stop_token& stop) {
+  const auto turn = take_turn(operated, wait_s(request), tell);
   const std::string service_name = request.at("service").get<std::string>();
   const int wanted = request.at("replicas").get<int>();
   LaunchService* const service = operated.file.find(service_name);
   if (service == nullptr) {
-    throw std::runtime_error(fmt::format("{} has no service '{}'", operated.file.path, service_name));
+    throw std::runtime_error(fmt::format("{} has no service '{}'{}", operated.file.path, service_name,
+                                         bus::suggestion(service_name, operated.file.service_names())));
   }
   if (wanted < 0 || wanted > kMaxReplicas) {
     throw std::runtime_error(fmt::format("a service has 0 to {} replicas, not {}", kMaxReplicas, wanted));
   }
+  const Statuses all = operated.supervisor.status();
   std::map<int, std::string> there;
-  for (const ProcessStatus& process : operated.supervisor.status()) {
+  for (const ProcessStatus& process : all) {
     if (process.service == service_name) there[process.replica] = process.name;
   }
   LaunchFile changed = operated.file;
   changed.find(service_name)->replicas = std::max(wanted, 1);
-  std::vector<std::string> added, removed;
-  for (ProcessPlan& plan : plan_launch(changed, operated.bus, program_directory()).processes) {
-    if (plan.broker && wanted > 1 && plan.service == service_name) {
+  const LaunchPlan plan = plan_launch(changed, operated.bus, program_directory());
+  std::vector<std::pair<ProcessPlan, std::vector<std::string>>> additions;
+  for (const ProcessPlan& process : plan.processes) {
+    if (process.broker && wanted > 1 && process.service == service_name) {
       throw std::runtime_error("a bus has one broker");
     }
-    if (plan.service != service_name || plan.replica > wanted || there.contains(plan.replica)) continue;
-    added.push_back(plan.name);
-    tell(fmt::format("starting {}", plan.name));
-    operated.supervisor.add(std::move(plan));
+    if (process.service != service_name || process.replica > wanted || there.contains(process.replica)) continue;
+    additions.emplace_back(process, names_of(process.after, plan, all));
+  }
+  // From here on nothing is refused.
+  std::vector<std::string> added, removed;
+  for (auto& [process, after] : additions) {
+    added.push_back(process.name);
+    tell(fmt::format("starting {}", process.name));
+    operated.supervisor.add(std::move(process), std::move(after));
   }
   for (auto replica = there.rbegin(); replica != there.rend() && replica->first > wanted; ++replica) {
     tell(fmt::format("stopping {}", replica->second));
@@ -167,28 +193,41 @@ Json scale(Operated& operated, const Json& request, const ControlServer::Tell& t
 }
 
 /// A parameter that was written to the launch file counts from each process's next start on.
-Json save(Operated& operated, const Json& request) {
+Json save(Operated& operated, const Json& request, const ControlServer::Tell& tell) {
+  const auto turn = take_turn(operated, wait_s(request), tell);
   const std::string service = request.at("service").get<std::string>();
   const std::string key = request.at("key").get<std::string>(), value = request.at("value").get<std::string>();
   const auto names = processes_of(operated.supervisor.status(), service);
   for (const std::string& name : names) {
     operated.supervisor.change_plan(name, [&](ProcessPlan& plan) { set_parameter(plan, key, value); });
   }
-  if (LaunchService* const entry = operated.file.find(service)) entry->parameters[key].value = value;
+  if (LaunchService* const entry = operated.file.find(service)) entry->parameters[key].value = escaped(value);
   return {{"processes", names}};
 }
 
 }  // namespace
 
+std::unique_lock<std::timed_mutex> take_turn(const Operated& operated, double wait_s, const ControlServer::Tell& tell) {
+  std::unique_lock turn(*operated.turn, std::try_to_lock);
+  if (turn) return turn;
+  tell("waiting for another scale, swap or save to end");
+  if (!turn.try_lock_for(std::chrono::duration<double>(wait_s))) {
+    throw std::runtime_error("another scale, swap or save is still under way");
+  }
+  return turn;
+}
+
 std::vector<std::string> processes_of(const std::vector<ProcessStatus>& all, const std::string& name) {
-  std::vector<std::string> names, known;
+  std::vector<std::string> names;
+  std::set<std::string> known;
   for (const ProcessStatus& process : all) {
     if (process.name == name) return {name};
     if (process.service == name) names.push_back(process.name);
-    known.push_back(process.name);
+    known.insert({process.service, process.name});
   }
   if (!names.empty()) return names;
-  throw std::runtime_error(fmt::format("there is no service '{}' (there are: {})", name, fmt::join(known, ", ")));
+  throw std::runtime_error(
+      fmt::format("there is no service '{}'{}", name, bus::suggestion(name, {known.begin(), known.end()})));
 }
 
 void add_operator_verbs(ControlServer& server, const std::shared_ptr<Operated>& operated) {
@@ -207,10 +246,11 @@ void add_operator_verbs(ControlServer& server, const std::shared_ptr<Operated>& 
     wait_for_running(*operated, names, wait_s(request), stop);
     return Json{{"processes", names}};
   });
-  server.handle("stop", [operated](const Json& request, const Tell&, const Stop& stop) {
+  server.handle("stop", [operated](const Json& request, const Tell& tell, const Stop& stop) {
     auto names = asked_for(*operated, request);
     std::reverse(names.begin(), names.end());
     for (const std::string& name : names) {
+      tell(fmt::format("stopping {}", name));
       operated->supervisor.stop(name);
       wait_for_end(*operated, {name}, wait_s(request), stop);
     }
@@ -226,19 +266,19 @@ void add_operator_verbs(ControlServer& server, const std::shared_ptr<Operated>& 
     }
     return Json{{"processes", names}};
   });
-  // Those that change the launch file in memory: one at a time.
-  const auto turn = std::make_shared<std::mutex>();
-  server.handle("scale", [operated, turn](const Json& request, const Tell& tell, const Stop& stop) {
-    const std::scoped_lock lock(*turn);
+  server.handle("scale", [operated](const Json& request, const Tell& tell, const Stop& stop) {
     return scale(*operated, request, tell, stop);
   });
-  server.handle("save", [operated, turn](const Json& request, const Tell&, const Stop&) {
-    const std::scoped_lock lock(*turn);
-    return save(*operated, request);
+  server.handle("save", [operated](const Json& request, const Tell& tell, const Stop&) {
+    return save(*operated, request, tell);
   });
   server.handle("down", [operated](const Json&, const Tell&, const Stop&) {
+    std::vector<std::string> names;
+    for (const ProcessStatus& process : operated->supervisor.status()) {
+      if (process.pid != 0) names.push_back(process.name);
+    }
     operated->stop();
-    return Json::object();
+    return Json{{"processes", names}};
   });
 }
 

@@ -1,15 +1,17 @@
 #include "swap_verb.h"
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <chrono>
-#include <mutex>
+#include <iterator>
 #include <nlohmann/json.hpp>
 #include <utility>
 
 #include "parameter_check.h"
+#include "substitution.h"
 #include "swap.h"
 
 namespace splatbus::cli {
@@ -111,6 +113,7 @@ void swap_broker(const Operated& operated, const ProcessPlan& before, const Proc
   tell(fmt::format("{}: another broker takes its place; everything connects to it again", name));
   const std::string why = start(changed);
   if (why.empty()) return;
+  tell(fmt::format("{}: the new broker is not ready: {}; the one before is started again", name, why));
   const bool is_back = start(before).empty();
   throw std::runtime_error(
       fmt::format("the new broker: {}; {}", why, is_back ? name + " was started again as it was" : name + " is gone"));
@@ -126,28 +129,56 @@ void wait_until_alone(const Supervisor& supervisor, const std::string& name, con
   throw std::runtime_error(fmt::format("'{}' still has another process beside it", name));
 }
 
+void swap_one(const Operated& operated, const std::string& name, const std::shared_ptr<bus::Context>& bus,
+              const Json& request, const ControlServer::Tell& tell, const std::stop_token& stop) {
+  const SwapLimits limits{.ready_s = request.value("wait_s", SwapLimits{}.ready_s)};
+  wait_until_alone(operated.supervisor, name, stop);
+  const ProcessPlan before = operated.supervisor.plan_of(name);
+  const ProcessPlan changed = changed_plan(before, request);
+  if (before.broker) return swap_broker(operated, before, changed, limits.ready_s, tell, stop);
+  SupervisorSwapHost host(operated.supervisor, as_successor(changed));
+  run_swap(
+      host, bus, name, limits, [&](const std::string& text) { tell(fmt::format("{}: {}", name, text)); }, stop);
+}
+
+/// Once all of a service's processes are of the new kind, replicas that are planned later are, too.
+void remember(Operated& operated, const Json& request, const std::vector<std::string>& names) {
+  const ProcessPlan swapped = operated.supervisor.plan_of(names.front());
+  const auto replicas = std::ranges::count(operated.supervisor.status(), swapped.service, &ProcessStatus::service);
+  LaunchService* const entry = operated.file.find(swapped.service);
+  if (entry == nullptr || swapped.broker || static_cast<std::size_t>(replicas) != names.size()) return;
+  const SourceMark mark{"swap", 0, 0};
+  if (request.contains("program")) entry->program = {request.at("program").get<std::string>(), mark};
+  if (request.contains("backend")) {
+    entry->backend = {request.at("backend").get<std::string>(), mark};
+    const auto before = std::ranges::find(entry->args, "--backend");  // which would go before the entry's
+    if (before != entry->args.end() && std::next(before) != entry->args.end()) entry->args.erase(before, before + 2);
+  }
+  if (!request.contains("set")) return;
+  for (const auto& [key, value] : request.at("set").items()) {
+    entry->parameters[key] = {escaped(value.get<std::string>()), mark};
+  }
+}
+
 }  // namespace
 
 void add_swap_handler(ControlServer& server, const std::shared_ptr<Operated>& operated) {
-  // One swap at a time.
-  server.handle("swap", [operated, turn = std::make_shared<std::mutex>()](
-                            const Json& request, const ControlServer::Tell& tell, const std::stop_token& stop) {
-    const std::scoped_lock lock(*turn);
+  server.handle("swap", [operated](const Json& request, const ControlServer::Tell& tell, const std::stop_token& stop) {
+    const auto turn = take_turn(*operated, request.value("wait_s", SwapLimits{}.ready_s), tell);
     const auto names = processes_of(operated->supervisor.status(), request.at("service").get<std::string>());
-    const SwapLimits limits{.ready_s = request.value("wait_s", SwapLimits{}.ready_s)};
     const auto bus = bus::Context::create(operated->bus, fmt::format("swap-{}", ::getpid()));
+    std::vector<std::string> swapped;
     for (const std::string& name : names) {
-      wait_until_alone(operated->supervisor, name, stop);
-      const ProcessPlan before = operated->supervisor.plan_of(name);
-      const ProcessPlan changed = changed_plan(before, request);
-      if (before.broker) {
-        swap_broker(*operated, before, changed, limits.ready_s, tell, stop);
-        continue;
+      try {
+        swap_one(*operated, name, bus, request, tell, stop);
+      } catch (const std::exception& error) {
+        if (swapped.empty()) throw;
+        throw std::runtime_error(
+            fmt::format("{}: {}; already swapped, and still so: {}", name, error.what(), fmt::join(swapped, ", ")));
       }
-      SupervisorSwapHost host(operated->supervisor, as_successor(changed));
-      run_swap(
-          host, bus, name, limits, [&](const std::string& text) { tell(fmt::format("{}: {}", name, text)); }, stop);
+      swapped.push_back(name);
     }
+    remember(*operated, request, names);
     return Json{{"processes", names}};
   });
 }

@@ -160,10 +160,14 @@ TEST_F(OperatedPipeline, EveryVerbOnALivePipeline) {
   EXPECT_EQ(status().at("viewer").at("state"), "running");
 
   EXPECT_THAT(run({"logs", "relight", "-n", "500"}).lines, Contains(HasSubstr("stopped by signal 15")));
-  EXPECT_EQ(run({"logs", "relite"}).status.code, 1);
+  const Answer mistyped = run({"logs", "relite"});
+  EXPECT_EQ(mistyped.status.code, 1);
+  EXPECT_THAT(mistyped.lines, Contains(HasSubstr("did you mean 'relight'?")));
   std::map<std::string, pid_t> pids;
   for (const auto& [name, process] : status()) pids[name] = process.value("pid", 0);
-  expect_success({"down"});
+  const Answer down = run({"down", "--json", "--timeout", "90"});
+  ASSERT_TRUE(down.status.success()) << testing::PrintToString(down.lines);
+  EXPECT_EQ(down.json().at(0).at("processes").size(), pids.size());
   is_up_ = false;
   for (const auto& [name, pid] : pids) EXPECT_TRUE(pid > 1 && kill(pid, 0) != 0) << name;
   EXPECT_EQ(run({"status"}).status.code, 1);

@@ -1,25 +1,24 @@
-// The supervisor's socket, and the log files.
+// The supervisor's socket.
 #include <gmock/gmock.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
 #include <sys/un.h>
 #include <unistd.h>
 
-#include <array>
 #include <atomic>
+#include <chrono>
 #include <condition_variable>
 #include <cstring>
 #include <filesystem>
-#include <fstream>
 #include <future>
-#include <map>
 #include <mutex>
 #include <nlohmann/json.hpp>
+#include <thread>
+#include <vector>
 
 #include "bus/file_descriptor.h"
 #include "control_request.h"
 #include "control_server.h"
-#include "log_store.h"
 #include "supervised_run.h"
 
 namespace splatbus::cli {
@@ -131,61 +130,70 @@ TEST(Control, NoVerbRunsOnceItHasStopped) {
   EXPECT_NO_THROW(ControlServer second(folder.address())) << "the place is free";
 }
 
-/// Those that were there are read on where their past ends; one that comes later, from its start.
-TEST(Logs, AreFollowedWithThoseThatComeLater) {
+/// A supervisor that is there and does nothing: stopped by a signal, say.
+class Mute {
+ public:
+  explicit Mute(const bus::Address& bus) : listener_(bus) {}
+  void accept() {
+    connections_.emplace_back(::accept4(listener_.fd(), nullptr, nullptr, SOCK_CLOEXEC));
+    ASSERT_TRUE(connections_.back().valid());
+  }
+  void say(const std::string& line) {
+    ASSERT_EQ(::send(connections_.back().get(), line.data(), line.size(), MSG_NOSIGNAL),
+              static_cast<ssize_t>(line.size()));
+  }
+
+ private:
+  ControlListener listener_;
+  std::vector<bus::FileDescriptor> connections_;
+};
+
+TEST(Control, WhoSaysNothingIsNotWaitedForForEver) {
   const PrivateBusFolder folder;
-  LogStore store(folder.path(), 4096, 3);
-  const auto write = [&](const std::string& process, const std::string& text) {
-    store.write({.process = process, .text = text, .event = {}});
+  const Mute mute(folder.address());
+  const auto ask = [&](Json request) {
+    const auto start = std::chrono::steady_clock::now();
+    EXPECT_THAT(what_is_thrown([&] { static_cast<void>(ask_supervisor(folder.address(), request, {}, 0.2)); }),
+                testing::AllOf(HasSubstr("(process " + std::to_string(getpid()) + ")"), HasSubstr("has not answered")));
+    return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
   };
-  for (int i = 0; i < 150; ++i) write("a", std::to_string(i));  // rotated once
-  write("b", "not asked for");
-  LogFollower follower(folder.path(), [](const std::string& process) { return process.starts_with("a"); });
-  for (int i = 150; i < 260; ++i) write("a", std::to_string(i));  // and once more
-  write("a.next", "stands by");
-  write("a-2", "0");
-  write("b", "nor now");
-  const auto before = follower.before("", -1);
-  ASSERT_EQ(before.size(), 150U);
-  EXPECT_EQ(before.front().text, "0");
-  EXPECT_EQ(before.back().text, "149");
-  EXPECT_EQ(follower.before("", 3).front().text, "147");
-  std::map<std::string, std::vector<std::string>> after;
-  std::array<int, 2> ends{};
-  ASSERT_EQ(pipe(ends.data()), 0);
-  bus::FileDescriptor read_end(ends[0]);
-  close(ends[1]);
-  follower.run(read_end.get(), [&](const StoredLine& line) { after[line.process].push_back(line.text); });
-  ASSERT_EQ(after["a"].size(), 110U);
-  EXPECT_EQ(after["a"].front(), "150");
-  EXPECT_EQ(after["a"].back(), "259");
-  EXPECT_THAT(after["a.next"], testing::ElementsAre("stands by"));
-  EXPECT_THAT(after["a-2"], testing::ElementsAre("0"));
-  EXPECT_EQ(after.size(), 3U);
-  EXPECT_THAT(logged_processes(folder.path()), testing::ElementsAre("a", "a-2", "a.next", "b"));
+  const double status_s = ask({{"verb", "status"}});
+  EXPECT_GE(status_s, 0.2);
+  EXPECT_LT(status_s, 30);
+  EXPECT_GE(ask({{"verb", "scale"}, {"wait_s", 1.0}}), 1.2) << "a verb has the time that it asks for";
 }
 
-TEST(Logs, AreRotatedAndReadAcrossTheRotation) {
+TEST(Control, EveryWordOfASupervisorCounts) {
   const PrivateBusFolder folder;
-  LogStore store(folder.path(), 4096, 3);
-  for (int i = 0; i < 150; ++i) store.write({.process = "a", .text = std::to_string(i), .event = {}});
-  store.write({.process = "b", .text = "started, process 7", .event = "started"});
-  EXPECT_TRUE(fs::exists(folder.path() / "a.1.log"));
-  EXPECT_THAT(logged_processes(folder.path()), testing::ElementsAre("a", "b"));
-  const auto all = read_logs(folder.path(), {"a"}, "", -1);
-  ASSERT_EQ(all.size(), 150U);
-  EXPECT_EQ(all.front().text, "0");
-  EXPECT_EQ(all.back().text, "149");
-  const auto last = read_logs(folder.path(), {"a", "b"}, "", 2);
-  ASSERT_EQ(last.size(), 2U);
-  EXPECT_EQ(last[0].text, "149");
-  EXPECT_TRUE(last[1].event);
-  EXPECT_EQ(read_logs(folder.path(), {"a"}, all[100].time, -1).front().time, all[100].time);
-  for (int i = 0; i < 2000; ++i) store.write({.process = "a", .text = std::to_string(i), .event = {}});
-  EXPECT_LE(fs::file_size(folder.path() / "a.1.log"), 4096U);
-  EXPECT_FALSE(fs::exists(folder.path() / "a.4.log"));
-  EXPECT_THROW(static_cast<void>(since_time("yesterday")), std::runtime_error);
-  EXPECT_LT(since_time("2h"), since_time("10m"));
+  Mute mute(folder.address());
+  const std::jthread supervisor([&] {
+    mute.accept();
+    for (int step = 0; step < 4; ++step) {
+      std::this_thread::sleep_for(std::chrono::milliseconds(500));
+      mute.say("{\"progress\": \"restarting another\"}\n");
+    }
+    mute.say("{\"ok\": true}\n");
+  });
+  EXPECT_TRUE(ask_supervisor(folder.address(), {{"verb", "restart"}, {"wait_s", 1.0}}, {}, 0.5).value("ok", false))
+      << "two seconds in all, and never 1.5 in silence";
+}
+
+TEST(Control, DownSaysWhatHasNotEnded) {
+  const PrivateBusFolder folder;
+  ControlServer server(folder.address());
+  std::jthread ending;
+  int asked = 0;
+  server.handle("down", [&](const Json&, const auto&, const auto&) {
+    if (++asked == 2) ending = std::jthread([&] { server.stop(); });
+    return Json{{"processes", {"a", "b"}}};
+  });
+  server.handle("status", [](const Json&, const auto&, const auto&) {
+    return Json{{"services", {{{"name", "a"}}, {{"name", "b"}, {"pid", 7}}}}};
+  });
+  server.start();
+  EXPECT_THAT(what_is_thrown([&] { static_cast<void>(stop_supervisor(folder.address(), 0.2)); }),
+              HasSubstr("within 0.2 s; still there: b"));
+  EXPECT_EQ(stop_supervisor(folder.address(), 60).at("processes").size(), 2U);
 }
 
 }  // namespace

@@ -65,9 +65,9 @@ TEST_F(SupervisorTest, WhatDoesNotRunAtTheEndIsAFailure) {
 TEST_F(SupervisorTest, ProcessesComeAndGo) {
   launch({shell("a", kSleep)});
   ASSERT_TRUE(wait_for_state("a", ProcessState::Running));
-  supervisor_->add(shell("a-2", kSleep, {0}));
+  supervisor_->add(shell("a-2", kSleep), {"a"});
   ASSERT_TRUE(wait_for_state("a-2", ProcessState::Running));
-  EXPECT_THROW(supervisor_->add(shell("a-2", kSleep)), std::runtime_error);
+  EXPECT_THROW(supervisor_->add(shell("a-2", kSleep), {}), std::runtime_error);
   supervisor_->remove("a-2");
   EXPECT_TRUE(supervisor_->wait_until([](const auto& all) { return all.size() == 1; }, kPatience));
   EXPECT_THROW(supervisor_->restart("a-2"), std::runtime_error);
