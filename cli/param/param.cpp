@@ -1,13 +1,16 @@
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <filesystem>
 #include <fstream>
 #include <iterator>
+#include <map>
 #include <memory>
 #include <nlohmann/json.hpp>
 #include <optional>
+#include <set>
 #include <stdexcept>
 #include <variant>
 #include <vector>
@@ -127,47 +130,77 @@ std::string variable_of(std::uint32_t pid, const std::string& name) {
 
 /// So that a restart has what the launch file says now. Where nobody supervises, the next launch reads it.
 void tell_supervisor(const bus::Address& bus, const std::string& service, const ParamOptions& options) {
+  constexpr double kTurnS = 10;
   try {
-    static_cast<void>(
-        ask_supervisor(bus, {{"verb", "save"}, {"service", service}, {"key", options.key}, {"value", options.value}}));
+    static_cast<void>(ask_supervisor(
+        bus,
+        {{"verb", "save"}, {"service", service}, {"key", options.key}, {"value", options.value}, {"wait_s", kTurnS}}));
   } catch (const NoSupervisor&) {
   }
 }
 
-/// Writes the parameter to the launch file that the process was started from, or to the one that is named. Returns the
-/// service's name there.
-std::string save(const ParamOptions& options, const ParameterOwner& owner, bool local) {
-  const std::string file =
-      !options.file.empty() ? options.file : (local ? variable_of(owner.pid, kLaunchFileVariable) : "");
-  if (file.empty()) {
-    throw std::runtime_error(
-        fmt::format("{} was not started here by a launch file: name one with --file", owner.source));
+/// Launch files with those of their entries that the processes were started by, or of the file that is named.
+using Entries = std::map<std::string, std::set<std::string>>;
+
+Entries entries_of(const ParamOptions& options, const std::vector<ParameterOwner>& owners, bool local) {
+  Entries entries;
+  for (const ParameterOwner& owner : owners) {
+    const std::string file =
+        !options.file.empty() ? options.file : (local ? variable_of(owner.pid, kLaunchFileVariable) : "");
+    if (file.empty()) {
+      throw std::runtime_error(
+          fmt::format("{} was not started here by a launch file: name one with --file", owner.source));
+    }
+    const std::string started_as = local ? variable_of(owner.pid, kLaunchServiceVariable) : "";
+    entries[file].insert(started_as.empty() ? owner.source : started_as);
   }
-  const std::string started_as = local ? variable_of(owner.pid, kLaunchServiceVariable) : "";
+  return entries;
+}
+
+std::string text_of(const std::string& file) {
   std::ifstream stream(file);
-  const std::string before{std::istreambuf_iterator<char>(stream), std::istreambuf_iterator<char>()};
+  std::string text{std::istreambuf_iterator<char>(stream), std::istreambuf_iterator<char>()};
   if (!stream) throw std::runtime_error(file + ": cannot be read");
-  std::string service = started_as.empty() ? owner.source : started_as;
-  const std::string after = with_parameters(before, file, service, {{options.key, options.value}});
-  // Beside it, and in its place once it is whole: whoever reads it finds the one or the other.
-  const fs::path target = fs::canonical(file);
+  return text;
+}
+
+/// Beside it, and in its place once it is whole: whoever reads it finds the one or the other.
+void replace(const fs::path& target, const std::string& text) {
   const fs::path draft = target.string() + ".new";
   std::ofstream out(draft);
-  out << after;
+  out << text;
   out.close();
   if (!out) throw std::runtime_error(draft.string() + ": cannot be written");
   fs::permissions(draft, fs::status(target).permissions());
   fs::rename(draft, target);
-  if (!options.json) fmt::print("saved in {}\n", target.string());
-  return service;
+}
+
+/// Writes the parameter to every entry, once all of them are known to take it.
+void save(const ParamOptions& options, const Entries& entries) {
+  std::map<std::string, std::string> texts;
+  for (const auto& [file, services] : entries) {
+    std::string text = text_of(file);
+    for (const std::string& service : services) {
+      text = with_parameters(text, file, service, {{options.key, options.value}});
+    }
+    texts[file] = std::move(text);
+  }
+  for (const auto& [file, text] : texts) {
+    const fs::path target = fs::canonical(file);
+    replace(target, text);
+    const auto& services = entries.at(file);
+    if (options.json) continue;
+    fmt::print("saved in {}{}\n", target.string(),
+               services.size() > 1 ? fmt::format(", for {}", fmt::join(services, " and ")) : "");
+  }
 }
 
 int set(const ParamOptions& options) {
   const bus::Address address = bus_address(options.bus);
   const auto context = connect(address);
   const auto owners = find_owners(context, options.service);
-  bool restart = false;
   for (const ParameterOwner& owner : owners) {
+    bool restart = false;
     if (owner.find(options.key) == nullptr) refuse_key(owner, options.key);
     const auto report = ask_program(owner.kind, {{options.key, options.value}}, program_directory());
     if (report && !report->problems.empty()) throw std::runtime_error(report->problems.front().text);
@@ -200,8 +233,12 @@ int set(const ParamOptions& options) {
     }
   }
   if (!options.save) return 0;
-  const std::string service = save(options, owners.front(), address.is_local());
-  if (options.file.empty()) tell_supervisor(address, service, options);
+  const Entries entries = entries_of(options, owners, address.is_local());
+  save(options, entries);
+  if (!options.file.empty()) return 0;
+  for (const auto& [file, services] : entries) {
+    for (const std::string& service : services) tell_supervisor(address, service, options);
+  }
   return 0;
 }
 

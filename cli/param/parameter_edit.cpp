@@ -211,7 +211,7 @@ std::string with_parameters(const std::string& yaml, const std::string& path, co
     } else if (parameters && parameters.IsMap() && is_flow(yaml, parameters)) {
       edits.push_back(add_to_flow(yaml, parameters, flow_entries(added)));
     } else if (parameters) {
-      refuse(parameters, path, "change these parameters by hand: they are no map");
+      refuse(parameters, path, "change these parameters by hand: they are not a map of names to values");
     } else if (is_flow(yaml, entry)) {
       const YAML::Node name = entry["name"];
       const auto end = end_of_scalar(yaml, name);

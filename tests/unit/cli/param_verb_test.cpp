@@ -6,6 +6,7 @@
 
 #include "../bus/bus_fixture.h"
 #include "child_process.h"
+#include "control_server.h"
 #include "parameter_query.h"
 #include "run_verb.h"
 
@@ -111,6 +112,45 @@ TEST_F(ParamVerb, SavesToTheFileThatItWasStartedFrom) {
   environment_ = {};
   start("alone");
   EXPECT_THAT(error_of({"set", "alone", "number", "8", "--save"}), HasSubstr("name one with --file"));
+}
+
+/// A kind may have several entries, each with its line; the supervisor is told of each.
+TEST_F(ParamVerb, SavesForEveryEntryOfAKind) {
+  const std::string file = directory_.path() + "/test.yaml";
+  std::ofstream(file) << "services:\n  - name: near\n    program: ./t\n  - name: far\n    program: ./t\n"
+                         "    parameters: {number: 1}  # of old\n";
+  environment_ = {{"SPLATBUS_LAUNCH_FILE", file}, {"SPLATBUS_LAUNCH_SERVICE", "near"}};
+  start("near");
+  environment_["SPLATBUS_LAUNCH_SERVICE"] = "far";
+  start("far-1");
+  start("far-2");
+  std::vector<std::string> told;
+  ControlServer supervisor(directory_.address());
+  supervisor.handle("save", [&](const nlohmann::json& request, const auto&, const auto&) {
+    told.push_back(request.at("service"));
+    return nlohmann::json::object();
+  });
+  supervisor.start();
+  EXPECT_THAT(run({"set", "test", "number", "8", "--save"}), HasSubstr("saved in " + file + ", for far and near"));
+  std::ifstream stream(file);
+  EXPECT_EQ(std::string(std::istreambuf_iterator<char>(stream), {}),
+            "services:\n  - name: near\n    program: ./t\n    parameters:\n      number: 8\n  - name: far\n"
+            "    program: ./t\n    parameters: {number: 8}  # of old\n");
+  EXPECT_THAT(told, testing::UnorderedElementsAre("near", "far"));
+}
+
+TEST_F(ParamVerb, SavesNothingWhereOneEntryCannotHaveIt) {
+  const std::string file = directory_.path() + "/test.yaml";
+  const std::string text =
+      "services:\n  - {name: a, program: ./t}\n  - {name: b, program: ./t, parameters: &all [1]}\n";
+  std::ofstream(file) << text;
+  for (const char* name : {"a", "b"}) {
+    environment_ = {{"SPLATBUS_LAUNCH_FILE", file}, {"SPLATBUS_LAUNCH_SERVICE", name}};
+    start(name);
+  }
+  EXPECT_THAT(error_of({"set", "test", "number", "8", "--save"}), HasSubstr("they are not a map"));
+  std::ifstream stream(file);
+  EXPECT_EQ(std::string(std::istreambuf_iterator<char>(stream), {}), text);
 }
 
 TEST(ParameterProgram, IsAskedWithTheChanges) {
