@@ -88,16 +88,20 @@ Check check_bus(const bus::Address& bus) {
       return {check.name, Verdict::Fail, fmt::format("{} answers and says nothing", bus.text()),
               "restart the bus: splatbus restart bus"};
     }
-    std::vector<std::string> others, gone;
+    std::vector<std::string> others, names, gone;
     for (const auto& [source, node] : watch.nodes()) {
-      if (node.protocol != kProtocolVersion) others.push_back(fmt::format("{} ({})", source, node.protocol));
+      if (node.protocol != kProtocolVersion) {
+        others.push_back(fmt::format("{} ({})", source, node.protocol));
+        names.push_back(source);
+      }
       if (!node.alive || node.state == "Failed") gone.push_back(source);
     }
     check.found = fmt::format("{} processes at {}", watch.nodes().size(), bus.text());
     if (!others.empty()) {
       check.verdict = Verdict::Fail;
       check.found += fmt::format("; of another protocol than our {}: {}", kProtocolVersion, fmt::join(others, ", "));
-      check.advice = "restart them with programs of one version: splatbus restart";
+      check.advice =
+          fmt::format("start them again with programs of one version: splatbus restart {}", fmt::join(names, " "));
     } else if (!gone.empty()) {
       check.verdict = Verdict::Warn;
       check.found += fmt::format("; not alive: {}", fmt::join(gone, ", "));

@@ -26,6 +26,7 @@ namespace fs = std::filesystem;
 
 struct DoctorOptions {
   std::string bus, launch;
+  std::vector<std::string> arguments;
   std::vector<std::uint16_t> ports;
   bool json = false;
 };
@@ -50,7 +51,7 @@ void check_ports(const DoctorOptions& options, std::vector<Check>& checks) {
   if (options.launch.empty()) {
     wanted.try_emplace(kPagePort, "127.0.0.1", "the gateway");
   } else {
-    for (const LaunchService& service : read_launch_file(options.launch).services) {
+    for (const LaunchService& service : read_launch_file(options.launch, parse_arguments(options.arguments)).services) {
       const bool is_gateway = service.program.value.ends_with("gateway");
       if (is_gateway && !service.parameters.contains("http")) wanted.try_emplace(kPagePort, "127.0.0.1", service.name);
       for (const char* name : {"http", "tcp"}) {
@@ -97,8 +98,10 @@ int doctor(const DoctorOptions& options) {
 void add_doctor_verb(CLI::App& app, Action& action) {
   auto options = std::make_shared<DoctorOptions>();
   CLI::App* verb = app.add_subcommand("doctor", "Check whether this machine is ready, and say what to do");
-  verb->add_option("--launch", options->launch, "launch file whose ports are checked (default: the gateway's own port)")
-      ->check(CLI::ExistingFile);
+  CLI::Option* const launch = verb->add_option("--launch", options->launch,
+                                               "launch file whose ports are checked (default: the gateway's own port)")
+                                  ->check(CLI::ExistingFile);
+  verb->add_option("arguments", options->arguments, "name=value: an argument of the launch file")->needs(launch);
   verb->add_option("--port", options->ports, "check this TCP port too; repeatable")->check(CLI::Range(1, 65535));
   verb->add_flag("--json", options->json, "print JSON, one object for each check");
   add_bus_option(*verb, options->bus);

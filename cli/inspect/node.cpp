@@ -29,7 +29,8 @@ namespace {
 struct NodeOptions {
   std::string bus;
   double seconds = 1;
-  std::string wait;  ///< launch file whose services shall be there first
+  std::string wait;                    ///< launch file whose services shall be there first
+  std::vector<std::string> arguments;  ///< of that file
   double timeout_s = 60;
   bool json = false, counters = false;
 };
@@ -72,7 +73,7 @@ void wait_for_services(const NodeOptions& options, const std::shared_ptr<bus::Co
 int list(const NodeOptions& options) {
   const StopSignals signals;
   std::optional<LaunchFile> file;
-  if (!options.wait.empty()) file = read_launch_file(options.wait);
+  if (!options.wait.empty()) file = read_launch_file(options.wait, parse_arguments(options.arguments));
   const bool own_bus = options.bus.empty() && file && file->bus;
   const auto address = own_bus ? bus::Address::parse(file->bus->value) : bus_address(options.bus);
   const auto context = file ? connect_later(address) : connect(address);
@@ -116,7 +117,9 @@ void add_node_verb(CLI::App& app, Action& action) {
   verb->add_option("--seconds", options->seconds, "time to listen, s (default 1)")->check(CLI::PositiveNumber);
   verb->add_flag("--json", options->json, "print JSON, one object per line, with counters and parameters");
   verb->add_flag("--counters", options->counters, "print the counters of each process below it");
-  verb->add_option("--wait", options->wait, "launch file: first wait until all of its services are alive");
+  CLI::Option* const wait =
+      verb->add_option("--wait", options->wait, "launch file: first wait until all of its services are alive");
+  verb->add_option("arguments", options->arguments, "name=value: an argument of the launch file")->needs(wait);
   verb->add_option("--timeout", options->timeout_s, "longest wait for --wait, s (default 60)")
       ->check(CLI::PositiveNumber);
   add_bus_option(*verb, options->bus);

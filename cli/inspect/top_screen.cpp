@@ -25,7 +25,7 @@ TopScreen::TopScreen() : impl_(std::make_unique<Impl>()) {
   // initscr() would end the program where this fails.
   if (::isatty(STDIN_FILENO) == 1 && ::isatty(STDOUT_FILENO) == 1) impl_->screen = ::newterm(nullptr, stdout, stdin);
   if (impl_->screen == nullptr) {
-    throw std::runtime_error("this is no terminal that can be drawn on; use --once or --json, or set TERM");
+    throw std::runtime_error("top cannot draw on this terminal: use --once or --json, or set TERM");
   }
   ::cbreak();
   ::noecho();

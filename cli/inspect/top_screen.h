@@ -10,7 +10,7 @@ namespace splatbus::cli {
 /// The whole terminal, by ncurses, given back as it was when this goes. One at a time, one thread.
 class TopScreen {
  public:
-  TopScreen();  ///< throws std::runtime_error where standard input or output is no terminal that can be drawn on
+  TopScreen();  ///< throws std::runtime_error where standard input and output are not a terminal to draw on
   ~TopScreen();
   TopScreen(const TopScreen&) = delete;
   TopScreen& operator=(const TopScreen&) = delete;

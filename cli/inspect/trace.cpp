@@ -60,12 +60,17 @@ void take(const wire::Spans& message, Collected& collected) {
   }
 }
 
-Collected collect(const TraceOptions& options) {
-  const StopSignals signals;
+std::shared_ptr<bus::Context> connect_here(const TraceOptions& options) {
   const bus::Address address = bus_address(options.bus);
-  if (!address.is_local())
-    throw std::runtime_error("clocks of machines do not compare: trace on the machine of the bus");
-  const auto context = connect(address);
+  if (!address.is_local()) {
+    throw std::runtime_error(
+        "the clocks of different machines cannot be compared: run trace on the machine of the bus");
+  }
+  return connect(address);
+}
+
+Collected collect(const TraceOptions& options, const std::shared_ptr<bus::Context>& context,
+                  const StopSignals& signals) {
   const bus::Publisher publisher(context);
   bus::Subscriber subscriber(context);
   Collected collected;
@@ -103,10 +108,13 @@ void print_way(const std::vector<TracedSpan>& spans) {
 }
 
 int trace(const TraceOptions& options) {
-  std::ofstream file(options.out, std::ios::trunc);
-  if (!file) throw std::runtime_error(fmt::format("cannot write {}", options.out));
-  Collected collected = collect(options);
+  const StopSignals signals;
+  const auto context = connect_here(options);
+  // Whether it can be written is asked before the time is spent; what it holds stays until there is something newer.
+  if (!std::ofstream(options.out, std::ios::app)) throw std::runtime_error(fmt::format("cannot write {}", options.out));
+  Collected collected = collect(options, context, signals);
   assign_frames(collected.spans);
+  std::ofstream file(options.out, std::ios::trunc);
   file << json_text(trace_events(collected.spans)) << '\n';
   file.close();
   if (!file) throw std::runtime_error(fmt::format("cannot write all of {}", options.out));

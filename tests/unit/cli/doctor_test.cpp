@@ -13,9 +13,11 @@
 #include <nlohmann/json.hpp>
 #include <sstream>
 
+#include "../bus/bus_fixture.h"
 #include "bus/file_descriptor.h"
 #include "bus/keys.h"
 #include "checks.h"
+#include "child_process.h"
 #include "gpu_usage.h"
 #include "supervised_run.h"
 #include "verbs.h"
@@ -186,6 +188,25 @@ TEST(Doctor, ExitsWith1WhenSomethingFails) {
   EXPECT_TRUE(named.contains("port 7999"));
   EXPECT_TRUE(named.contains("port 7600"));
   EXPECT_FALSE(named.contains("port 7680"));
+
+  std::ofstream(room.path() / "asked.yaml") << "arguments: {port: {type: integer}}\nservices:\n  - name: streamer\n"
+                                               "    parameters: {tcp: \"tcp://*:${port}\"}\n";
+  const std::string asked = (room.path() / "asked.yaml").string();
+  EXPECT_TRUE(run_doctor({"--bus", bus, "--launch", asked, "port=7601"}).second.contains("port 7601"));
+  EXPECT_THROW(run_doctor({"--bus", bus, "port=7601"}), CLI::RequiresError) << "of which file?";
+}
+
+class DoctorOnABus : public bus_test::BusTest {};
+
+TEST_F(DoctorOnABus, NamesWhoSpeaksAnotherProtocol) {
+  const ChildProcess other(SPLATBUS_BIN_DIR "/swap-test-other-protocol", {directory_.address().text()}, {});
+  Check check;
+  ASSERT_TRUE(bus_test::eventually([&] {
+    check = check_bus(directory_.address());
+    return check.verdict == Verdict::Fail;
+  }));
+  EXPECT_THAT(check.found, HasSubstr("test.next (2)"));
+  EXPECT_THAT(check.advice, testing::EndsWith("splatbus restart test.next")) << "restart wants names";
 }
 
 }  // namespace

@@ -3,9 +3,11 @@
 #include <gmock/gmock.h>
 
 #include <algorithm>
+#include <fstream>
 
 #include "../bus/bus_fixture.h"
 #include "child_process.h"
+#include "control_socket.h"
 #include "run_verb.h"
 #include "wire/topics.h"
 
@@ -92,8 +94,34 @@ TEST_F(NodeInfoVerb, SaysWhatThereIsWhenThereIsNoSuchName) {
     EXPECT_STREQ(error.what(), "no process 'tset-1' on this bus; did you mean 'test-1'?");
   }
   start("test-2");
-  EXPECT_THROW(static_cast<void>(run({"test"})), std::runtime_error) << "two are of that kind";
+  try {
+    static_cast<void>(run({"test"}));
+    ADD_FAILURE();
+  } catch (const std::runtime_error& error) {
+    EXPECT_STREQ(error.what(), "several processes are of kind 'test' on this bus (known: test-1, test-2)");
+  }
   EXPECT_THAT(run({"test-2"}), HasSubstr("test-2 (test)"));
+}
+
+/// What the bus says is shown, whatever becomes of the supervisor.
+TEST_F(NodeInfoVerb, DoesWithoutASupervisorThatSaysNothing) {
+  start("test-1");
+  const ControlListener mute(directory_.address());
+  EXPECT_TRUE(Json::parse(run({"test-1", "--json"}))["restarts"].is_null());
+}
+
+/// A launch file with an argument that has to be given.
+TEST_F(NodeInfoVerb, WaitsForTheServicesOfAFileWithArguments) {
+  start("test-1");
+  const std::string file = directory_.path() + "/wait.yaml";
+  std::ofstream(file) << "arguments: {who: {type: text}}\nservices:\n  - {name: bus}\n"
+                         "  - {name: \"${who}\", program: ./t}\n";
+  const std::vector<std::string> wait{"node",   "list", "--bus",     directory_.address().text(),
+                                      "--wait", file,   "--timeout", "60"};
+  auto with = wait;
+  with.emplace_back("who=test-1");
+  EXPECT_THAT(run_verb(add_node_verb, with), HasSubstr("test-1"));
+  EXPECT_THROW(run_verb(add_node_verb, wait), std::runtime_error);
 }
 
 }  // namespace

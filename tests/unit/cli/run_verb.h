@@ -28,4 +28,25 @@ inline std::string run_verb(void (*add)(CLI::App&, Action&), std::vector<std::st
   return testing::internal::GetCapturedStdout();
 }
 
+struct Ran {
+  int status = 0;
+  std::string out, err;
+};
+
+/// The same for a verb that may fail: its exit status, and what it printed.
+inline Ran run_to_end(void (*add)(CLI::App&, Action&), std::vector<std::string> arguments) {
+  CLI::App app;
+  Action action;
+  add(app, action);
+  std::reverse(arguments.begin(), arguments.end());
+  app.parse(arguments);
+  testing::internal::CaptureStdout();
+  testing::internal::CaptureStderr();
+  Ran ran;
+  ran.status = action();
+  ran.out = testing::internal::GetCapturedStdout();
+  ran.err = testing::internal::GetCapturedStderr();
+  return ran;
+}
+
 }  // namespace splatbus::cli

@@ -129,6 +129,16 @@ TEST(TraceEvents, AreSlicesNamesAndArrows) {
 
 class TraceVerb : public bus_test::BusTest {};
 
+TEST_F(TraceVerb, KeepsTheEarlierTraceWhereThereIsNoBus) {
+  broker_->stop();
+  const std::string path = directory_.path() + "/trace.json";
+  std::ofstream(path) << "earlier";
+  const std::vector<std::string> arguments{"trace", "--out", path, "--bus", directory_.address().text()};
+  EXPECT_THROW(run_verb(add_trace_verb, arguments), std::runtime_error);
+  std::ifstream file(path);
+  EXPECT_EQ(std::string(std::istreambuf_iterator<char>(file), {}), "earlier");
+}
+
 TEST_F(TraceVerb, CollectsWhatServicesDoWhileItRuns) {
   const std::string bus = directory_.address().text();
   const ChildProcess service(std::string(SPLATBUS_BIN_DIR) + "/bus-test-service", {"--bus", bus, "--name", "test-1"},
