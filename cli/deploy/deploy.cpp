@@ -1,13 +1,16 @@
 #include <fmt/format.h>
 
 #include <CLI/CLI.hpp>
+#include <chrono>
 #include <cstdio>
 #include <filesystem>
 #include <fstream>
 #include <stdexcept>
+#include <thread>
 
 #include "bus/subscriber.h"
 #include "deploy_plan.h"
+#include "probe_runner.h"
 #include "verbs.h"
 #include "wire/system_generated.h"
 
@@ -19,7 +22,7 @@ namespace fs = std::filesystem;
 
 struct ExportOptions {
   std::string launch_file, folder;
-  std::vector<std::string> overrides, remote;
+  std::vector<std::string> arguments, overrides, remote;
   std::string backend;
   DeployOptions deploy;
 };
@@ -27,7 +30,7 @@ struct ExportOptions {
 using Write = std::string (*)(const DeployPlan&, const DeployOptions&);
 
 int write(const ExportOptions& options, const char* file_name, Write write_text) {
-  LaunchFile file = read_launch_file(options.launch_file);
+  LaunchFile file = read_launch_file(options.launch_file, parse_arguments(options.arguments));
   for (const std::string& assignment : options.overrides) apply_override(file, assignment);
   set_backend(file, options.backend);
   DeployOptions deploy = options.deploy;
@@ -57,6 +60,7 @@ void add_format(CLI::App& verb, Action& action, const char* name, const char* su
   auto options = std::make_shared<ExportOptions>();
   CLI::App* format = verb.add_subcommand(name, summary);
   format->add_option("launch-file", options->launch_file, "launch file (.yaml)")->required();
+  format->add_option("arguments", options->arguments, "name=value: an argument of the launch file");
   format->add_option("-o,--out", options->folder, "folder to write to; else to standard output");
   format->add_option("--set", options->overrides, "service.parameter=value, before the file's; repeatable")
       ->allow_extra_args(false);
@@ -81,19 +85,38 @@ void add_format(CLI::App& verb, Action& action, const char* name, const char* su
 }
 
 struct HealthOptions {
-  std::string bus, source;
+  std::string bus, source, tcp, http;
   double timeout_s = 5;
 };
 
-/// 0 when the source, or with no name the bus itself, is alive as the broker sees it.
+/// 0 when somebody answers there.
+int answers(const HealthOptions& options) {
+  const bool is_tcp = !options.tcp.empty();
+  const Probe probe{.kind = is_tcp ? Probe::Kind::Tcp : Probe::Kind::Http,
+                    .mark = {},
+                    .target = is_tcp ? options.tcp : options.http,
+                    .command = {},
+                    .period_s = options.timeout_s,
+                    .timeout_s = options.timeout_s,
+                    .failures = 1};
+  const ProbeRunner asking(probe);
+  while (!asking.was_good() && !asking.fails()) std::this_thread::sleep_for(std::chrono::milliseconds(5));
+  if (!asking.was_good()) throw std::runtime_error(fmt::format("{} is not well", probe.target));
+  fmt::print("{} answers\n", probe.target);
+  return 0;
+}
+
+/// 0 when the source, or with no name the bus itself, is alive as the broker sees it. The broker does not list itself.
 int health(const HealthOptions& options) {
+  if (!options.tcp.empty() || !options.http.empty()) return answers(options);
+  const bool of_bus = options.source.empty() || options.source == "bus";
   const bus::Address address = bus_address(options.bus);
   bus::Subscriber subscriber(connect(address));
   std::string said;
   subscriber.on(topics::kLiveness, [&](const wire::Liveness& liveness, const bus::Message& message) {
     if (message.header().resent()) return;  // of a moment ago, or of a broker that is gone
-    said = options.source.empty() ? "alive" : "is not on the bus";
-    if (liveness.nodes() == nullptr || options.source.empty()) return;
+    said = of_bus ? "alive" : "is not on the bus";
+    if (liveness.nodes() == nullptr || of_bus) return;
     for (const auto* node : *liveness.nodes()) {
       if (node->source()->string_view() == options.source) said = node->alive() ? "alive" : "is silent, or has ended";
     }
@@ -118,8 +141,16 @@ void add_deploy_formats(CLI::App& verb, Action& action) {
 void add_health_verb(CLI::App& app, Action& action) {
   auto options = std::make_shared<HealthOptions>();
   CLI::App* verb = app.add_subcommand("health", "Whether a service is alive: exit status 0, else 1. For probes");
-  verb->add_option("name", options->source, "of a service on the bus; none: the bus itself");
-  verb->add_option("--timeout", options->timeout_s, "seconds to wait for the bus")
+  CLI::Option* const name = verb->add_option("name", options->source, "of a service on the bus; none: the bus itself");
+  CLI::Option* const tcp =
+      verb->add_option("--tcp", options->tcp, "HOST:PORT: whether somebody listens there")->excludes(name);
+  verb->add_option("--http", options->http, "http:// URL: whether that answers with a status of 200 to 399")
+      ->check([](const std::string& url) {
+        return url.starts_with("http://") ? std::string() : fmt::format("'{}' does not begin with http://", url);
+      })
+      ->excludes(name)
+      ->excludes(tcp);
+  verb->add_option("--timeout", options->timeout_s, "seconds to wait for it")
       ->check(CLI::PositiveNumber)
       ->capture_default_str();
   add_bus_option(*verb, options->bus);

@@ -4,10 +4,12 @@
 
 #include <algorithm>
 #include <cctype>
+#include <cmath>
 #include <set>
 #include <utility>
 
 #include "bus/error.h"
+#include "shell_words.h"
 
 namespace splatbus::cli {
 
@@ -48,7 +50,7 @@ void set_parameter(DeployProcess& process, const std::string& key, const std::st
 
 std::string secret(DeployProcess& process, const std::string& file) {
   process.secrets.push_back(file);
-  return fmt::format("{}/{}", kSecretFolder, file);
+  return fmt::format("{}/{}", kKeyFolder, file);
 }
 
 int port_of(const std::string& endpoint) {
@@ -97,6 +99,7 @@ void place_streamer(DeployProcess& process, int port) {
 void place_client(DeployProcess& process, const std::string& bus) {
   const auto option = std::ranges::find(process.command, "--bus");
   if (option != process.command.end()) *std::next(option) = bus;
+  process.environment["SPLATBUS_BUS"] = bus;  // which probes read
   process.environment["SPLATBUS_KEY"] = secret(process, "client_key");
 }
 
@@ -129,6 +132,10 @@ DeployProcess containerised(const ProcessPlan& plan, const LaunchService& servic
   process.cuda = plan.backend == "cuda";
   process.beats = plan.heartbeat_timeout_s > 0;
   process.start_timeout_s = plan.start_timeout_s;
+  process.stop_timeout_s = plan.stop_timeout_s;
+  process.environment.emplace("SPLATBUS_STOP_TIMEOUT_S", fmt::format("{}", plan.stop_timeout_s));
+  process.readiness = plan.readiness;
+  process.liveness = plan.liveness;
   if (program == "splatbus-trainer" && !parameter(process, "world").empty()) {
     process.has_world = true;
     set_parameter(process, "world", kWorldFolder);
@@ -137,6 +144,39 @@ DeployProcess containerised(const ProcessPlan& plan, const LaunchService& servic
 }
 
 }  // namespace
+
+std::string unused_name(const DeployPlan& plan, std::string wanted) {
+  const auto is_taken = [&](const DeployProcess& process) {
+    return process.name == wanted || process.service == wanted;
+  };
+  while (std::ranges::any_of(plan.local, is_taken) || std::ranges::any_of(plan.remote, is_taken)) wanted += "-own";
+  return wanted;
+}
+
+int whole_seconds(double seconds) {
+  return std::max(1, static_cast<int>(std::ceil(seconds)));
+}
+
+std::vector<std::string> probe_command(const Probe& probe) {
+  if (probe.kind == Probe::Kind::Command) return probe.command;
+  const char* const option = probe.kind == Probe::Kind::Tcp ? "--tcp" : "--http";
+  return {"splatbus", "health", option, probe.target, "--timeout", fmt::format("{}", probe.timeout_s)};
+}
+
+std::vector<std::string> health_command(const DeployProcess& process, const std::string& name,
+                                        const std::optional<Probe>& probe) {
+  const std::vector<std::string> ask = probe ? probe_command(*probe) : std::vector<std::string>();
+  if (!process.beats) return ask;
+  // The broker's heartbeat is its own word, whatever the launch file calls it: that it answers is what there is to ask.
+  std::vector<std::string> alive{"splatbus", "health"};
+  const bool is_variable = name.starts_with('$');
+  if (!process.broker && !is_variable) alive.push_back(name);
+  if (ask.empty() && !is_variable) return alive;
+  std::string line = shell_line(alive);
+  if (is_variable) line += fmt::format(" \"{}\"", name);
+  if (!ask.empty()) line += " && " + shell_line(ask);
+  return {"sh", "-c", line};
+}
 
 DeployPlan plan_deployment(const LaunchFile& file, const fs::path& programs, const DeployOptions& options) {
   check_remote(file, options.remote);

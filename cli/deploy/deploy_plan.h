@@ -2,6 +2,7 @@
 
 #include <filesystem>
 #include <map>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -23,12 +24,13 @@ struct DeployProcess {
   std::vector<std::string> command;  ///< the program, found by PATH where it is one of ours, and its arguments
   std::map<std::string, std::string> environment;
   std::vector<std::string> after;    ///< names of processes
-  std::vector<std::string> secrets;  ///< files of kSecretFolder that it reads
+  std::vector<std::string> secrets;  ///< files of kKeyFolder that it reads
   std::vector<DeployPort> ports;
   int nice = 0;
   RestartPolicy restart = RestartPolicy::OnFailure;
   bool broker = false, gateway = false, streamer = false, cuda = false, beats = true, has_world = false;
-  double start_timeout_s = 30;
+  double start_timeout_s = 30, stop_timeout_s = 3;
+  std::optional<Probe> readiness, liveness;  ///< besides heartbeats
 };
 
 /// Processes of one launch file: those on its bus, which lies in memory and wants them on one machine, and those that
@@ -45,8 +47,13 @@ struct DeployOptions {
   std::map<std::string, std::string> remote;  ///< by entry: the bus over tcp that it uses from another machine
 };
 
-inline constexpr const char* kBusFolder = "/run/splatbus";
-inline constexpr const char* kSecretFolder = "/run/secrets";
+/// Who all containers run as: the user splatbus of the image, whom its Dockerfile names.
+inline constexpr int kUser = 10001;
+// A bus's folder has to be its user's alone, and so do key files. What orchestrators mount is neither: key files are
+// copied from where secrets are mounted, by somebody who may read them there.
+inline constexpr const char* kRunFolder = "/run/splatbus";
+inline constexpr const char* kBusFolder = "/run/splatbus/bus";
+inline constexpr const char* kKeyFolder = "/run/splatbus/keys";
 inline constexpr const char* kWorldFolder = "/var/lib/splatbus/world";
 
 /// Where streamers listen over tcp, and where a bus over tcp is reached, they take keys: server_key, allowed, and for
@@ -54,6 +61,20 @@ inline constexpr const char* kWorldFolder = "/var/lib/splatbus/world";
 /// its container, takes tokens. Throws LaunchError.
 [[nodiscard]] DeployPlan plan_deployment(const LaunchFile& file, const std::filesystem::path& programs,
                                          const DeployOptions& options);
+
+/// A name for a container of our own, which no process of the plan has: `wanted`, or that with letters behind it.
+[[nodiscard]] std::string unused_name(const DeployPlan& plan, std::string wanted);
+
+/// A probe of the launch file as a command that ends with 0 when it is good.
+[[nodiscard]] std::vector<std::string> probe_command(const Probe& probe);
+
+/// The command by which an orchestrator asks whether a process is well: by its heartbeat at the broker, where it sends
+/// any, and by a probe. Empty where there is nothing to ask. `name`: on the bus, or a variable of a shell that has it.
+[[nodiscard]] std::vector<std::string> health_command(const DeployProcess& process, const std::string& name,
+                                                      const std::optional<Probe>& probe);
+
+/// In whole seconds, as orchestrators count: not less.
+[[nodiscard]] int whole_seconds(double seconds);
 
 /// As a docker compose file, by the Compose specification.
 [[nodiscard]] std::string compose_text(const DeployPlan& plan, const DeployOptions& options);

@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <nlohmann/json.hpp>
+#include <optional>
+#include <set>
 
 #include "deploy_plan.h"
 #include "yaml_text.h"
@@ -13,7 +15,8 @@ namespace {
 using Json = nlohmann::ordered_json;
 
 constexpr const char* kSecret = "splatbus-keys";
-constexpr const char* kShmBytes = "8Gi";  // of slabs in /dev/shm and of the bus's folder, at most
+constexpr const char* kPodSecretFolder = "/run/splatbus-secret";  // below /run/secrets Kubernetes mounts its own
+constexpr const char* kMemory = "8Gi";  // of slabs in /dev/shm and of the bus's folder, at most
 
 Json labels(const DeployPlan& plan, const std::string& component) {
   return {{"app.kubernetes.io/name", plan.name},
@@ -31,16 +34,43 @@ std::string plain(const std::string& text) {
   return out;
 }
 
-Json probe(const std::string& name) {
-  return {{"exec", {{"command", {"splatbus", "health", name}}}},
-          {"periodSeconds", 10},
-          {"timeoutSeconds", 10},
-          {"failureThreshold", 3}};
+constexpr int kHeartbeatS = 10;  // between two looks at heartbeats, and the time that one may take
+
+Json exec_probe(const std::vector<std::string>& command, int period_s, int timeout_s, int failures) {
+  return {{"exec", {{"command", command}}},
+          {"periodSeconds", period_s},
+          {"timeoutSeconds", timeout_s},
+          {"failureThreshold", failures}};
 }
 
-Json ready(const DeployProcess& process) {
-  if (!process.gateway) return {};
-  return {{"httpGet", {{"path", "/healthz"}, {"port", "http"}}}, {"periodSeconds", 5}};
+Json exec_probe(const std::vector<std::string>& command, const DeployProcess& process,
+                const std::optional<Probe>& probe) {
+  const int beat_s = process.beats ? kHeartbeatS : 0;
+  if (!probe) return exec_probe(command, kHeartbeatS, beat_s, 3);
+  return exec_probe(command, whole_seconds(probe->period_s), beat_s + whole_seconds(probe->timeout_s), probe->failures);
+}
+
+/// As the launch file has it: ready once `readiness` was good, in `start_timeout_s`; from then on `liveness` counts.
+/// `name`: on the bus, or a variable that has it.
+void add_probes(Json& container, const DeployProcess& process, const std::string& name) {
+  const std::optional<Probe>& first = process.readiness ? process.readiness : process.liveness;
+  if (const auto command = health_command(process, name, first); !command.empty()) {
+    Json startup = exec_probe(command, process, first);
+    const int period_s = startup["periodSeconds"].get<int>();
+    const int times = whole_seconds(process.start_timeout_s / period_s) + (process.beats ? 3 : 0);
+    startup["failureThreshold"] = std::max(3, times);
+    container["startupProbe"] = startup;
+  }
+  if (const auto command = health_command(process, name, process.liveness); !command.empty()) {
+    container["livenessProbe"] = exec_probe(command, process, process.liveness);
+  }
+  if (process.readiness) {
+    const Probe& probe = *process.readiness;
+    container["readinessProbe"] =
+        exec_probe(probe_command(probe), whole_seconds(probe.period_s), whole_seconds(probe.timeout_s), probe.failures);
+  } else if (process.gateway) {
+    container["readinessProbe"] = {{"httpGet", {{"path", "/healthz"}, {"port", "http"}}}, {"periodSeconds", 5}};
+  }
 }
 
 /// `name`: on the bus; of a set's replicas it is the pod's.
@@ -67,34 +97,59 @@ Json container_of(const DeployProcess& process, const DeployOptions& options, co
   }
   for (const auto& [key, value] : process.environment) environment.push_back({{"name", key}, {"value", plain(value)}});
   for (const DeployPort& port : process.ports) ports.push_back({{"name", port.name}, {"containerPort", port.port}});
-  if (!of_set) {
-    mounts.push_back({{"name", "run"}, {"mountPath", kBusFolder}});
-    mounts.push_back({{"name", "shm"}, {"mountPath", "/dev/shm"}});
-  }
+  if (!of_set || !process.secrets.empty()) mounts.push_back({{"name", "run"}, {"mountPath", kRunFolder}});
+  if (!of_set) mounts.push_back({{"name", "shm"}, {"mountPath", "/dev/shm"}});
   if (process.has_world) mounts.push_back({{"name", "world"}, {"mountPath", kWorldFolder}});
-  if (!process.secrets.empty()) {
-    mounts.push_back({{"name", "keys"}, {"mountPath", kSecretFolder}, {"readOnly", true}});
-  }
   Json container{{"name", process.name}, {"image", options.image}, {"command", command}};
   if (!environment.empty()) container["env"] = environment;
   if (!ports.empty()) container["ports"] = ports;
   if (!mounts.empty()) container["volumeMounts"] = mounts;
-  if (process.beats) {
-    container["startupProbe"] = probe(name);
-    container["startupProbe"]["failureThreshold"] = std::max(3, static_cast<int>(process.start_timeout_s / 10) + 3);
-    container["livenessProbe"] = probe(name);
-  }
-  if (const Json readiness = ready(process); !readiness.is_null()) container["readinessProbe"] = readiness;
+  add_probes(container, process, of_set ? "$POD_NAME" : name);
   if (process.cuda) container["resources"] = {{"limits", {{"nvidia.com/gpu", 1}}}};
   return container;
 }
 
-Json keys_volume() {
-  return {{"name", "keys"}, {"secret", {{"secretName", kSecret}, {"defaultMode", 0400}}}};
+Json memory(const char* name) {
+  return {{"name", name}, {"emptyDir", {{"medium", "Memory"}, {"sizeLimit", kMemory}}}};
 }
 
-bool any_secret(const std::vector<DeployProcess>& processes) {
-  return std::ranges::any_of(processes, [](const DeployProcess& p) { return !p.secrets.empty(); });
+/// A pod of these processes, whose containers have one user. What is mounted is root's, and the user's by its group: a
+/// folder in memory is not fit for a bus then, nor are secrets for keys. So the bus makes its own folder there, and a
+/// container that runs first copies the keys to another, as files of the user's alone.
+Json pod_of(const DeployPlan& plan, const DeployOptions& options, const std::vector<DeployProcess>& processes,
+            const Json& containers) {
+  std::set<std::string> files;
+  double stop_timeout_s = 0;  // Kubernetes stops all containers of a pod at once
+  for (const DeployProcess& process : processes) {
+    files.insert(process.secrets.begin(), process.secrets.end());
+    stop_timeout_s = std::max(stop_timeout_s, process.stop_timeout_s);
+  }
+  Json pod{{"terminationGracePeriodSeconds", whole_seconds(stop_timeout_s)},
+           {"automountServiceAccountToken", false},
+           {"securityContext",
+            {{"runAsNonRoot", true},
+             {"runAsUser", kUser},
+             {"runAsGroup", kUser},
+             {"fsGroup", kUser},
+             {"fsGroupChangePolicy", "OnRootMismatch"}}}};
+  Json volumes = Json::array();
+  if (!files.empty()) {
+    std::string sources;
+    for (const std::string& file : files) sources += fmt::format(" {}/{}", kPodSecretFolder, file);
+    pod["initContainers"] = Json::array(
+        {{{"name", unused_name(plan, "keys")},
+          {"image", options.image},
+          {"command",
+           {"sh", "-c", fmt::format("install -d -m 0700 {0} && install -m 0600 -t {0}{1}", kKeyFolder, sources)}},
+          {"volumeMounts",
+           {{{"name", "run"}, {"mountPath", kRunFolder}},
+            {{"name", "secret"}, {"mountPath", kPodSecretFolder}, {"readOnly", true}}}}}});
+    volumes.push_back({{"name", "secret"}, {"secret", {{"secretName", kSecret}, {"defaultMode", 0440}}}});
+    volumes.push_back(memory("run"));
+  }
+  pod["containers"] = containers;
+  if (!volumes.empty()) pod["volumes"] = volumes;
+  return pod;
 }
 
 Json pod_of_machine(const DeployPlan& plan, const DeployOptions& options) {
@@ -107,20 +162,16 @@ Json pod_of_machine(const DeployPlan& plan, const DeployOptions& options) {
     if (container["ports"].is_null()) container.erase("ports");
     containers.push_back(container);
   }
-  const auto memory = [](const char* name) {
-    return Json{{"name", name}, {"emptyDir", {{"medium", "Memory"}, {"sizeLimit", kShmBytes}}}};
-  };
-  Json volumes = Json::array({memory("run"), memory("shm")});
-  if (any_secret(plan.local)) volumes.push_back(keys_volume());
+  Json spec = pod_of(plan, options, plan.local, containers);
+  Json& volumes = spec["volumes"];
+  if (volumes.is_null()) volumes.push_back(memory("run"));
+  volumes.push_back(memory("shm"));
   for (const DeployProcess& process : plan.local) {
     if (process.has_world)
       volumes.push_back({{"name", "world"}, {"persistentVolumeClaim", {{"claimName", plan.name + "-world"}}}});
   }
   // Slabs go from process to process as descriptors, to whose owner the registry looks: one pod, one list of processes.
-  Json spec{{"shareProcessNamespace", true},
-            {"terminationGracePeriodSeconds", 15},
-            {"containers", containers},
-            {"volumes", volumes}};
+  spec["shareProcessNamespace"] = true;
   return {{"apiVersion", "apps/v1"},
           {"kind", "Deployment"},
           {"metadata", {{"name", plan.name}, {"labels", labels(plan, "machine")}}},
@@ -148,15 +199,7 @@ Json port_entry(const std::string& name, int port) {
 Json set_of(const DeployPlan& plan, const DeployOptions& options, const DeployProcess& first, int replicas) {
   DeployProcess one = first;
   one.name = first.service;
-  Json container = container_of(one, options, "$(POD_NAME)");
-  // A probe's command knows no variables but by a shell.
-  for (const char* which : {"startupProbe", "livenessProbe"}) {
-    if (container.contains(which)) {
-      container[which]["exec"]["command"] = {"sh", "-c", "exec splatbus health \"$POD_NAME\""};
-    }
-  }
-  Json spec{{"terminationGracePeriodSeconds", 15}, {"containers", Json::array({container})}};
-  if (!one.secrets.empty()) spec["volumes"] = Json::array({keys_volume()});
+  const Json spec = pod_of(plan, options, {one}, Json::array({container_of(one, options, "$(POD_NAME)")}));
   return {{"apiVersion", "apps/v1"},
           {"kind", "StatefulSet"},
           {"metadata", {{"name", first.service}, {"labels", labels(plan, first.service)}}},

@@ -12,6 +12,7 @@
 #include "parameter_check.h"
 #include "run_launch.h"
 #include "schema_json.h"
+#include "shell_words.h"
 #include "verbs.h"
 
 namespace splatbus::cli {
@@ -28,23 +29,6 @@ struct LaunchOptions {
   double ready_within_s = 120;
 };
 
-/// A word as a shell reads it.
-std::string quoted(const std::string& word) {
-  const bool plain = !word.empty() && word.find_first_not_of(
-                                          "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ"
-                                          "0123456789-_=+./:,@%") == std::string::npos;
-  if (plain) return word;
-  std::string result = "'";
-  for (const char c : word) {
-    if (c == '\'') {
-      result += "'\\''";
-    } else {
-      result += c;
-    }
-  }
-  return result + "'";
-}
-
 void print_plan(const LaunchPlan& plan, bool json) {
   for (std::size_t i = 0; i < plan.processes.size(); ++i) {
     const ProcessPlan& process = plan.processes[i];
@@ -60,12 +44,13 @@ void print_plan(const LaunchPlan& plan, bool json) {
                             {"after", after}}));
       continue;
     }
-    std::string command;
-    for (const auto& [key, value] : process.environment) command += fmt::format("{}={} ", key, quoted(value));
-    command += quoted(process.program.string());
-    for (const std::string& argument : process.arguments) command += " " + quoted(argument);
-    fmt::print("{}. {}{}\n   {}\n", i + 1, process.name,
-               after.empty() ? "" : fmt::format(", after {}", fmt::join(after, ", ")), command);
+    std::string environment;
+    for (const auto& [key, value] : process.environment) environment += fmt::format("{}={} ", key, shell_line({value}));
+    std::vector<std::string> command{process.program.string()};
+    command.insert(command.end(), process.arguments.begin(), process.arguments.end());
+    fmt::print("{}. {}{}\n   {}{}\n", i + 1, process.name,
+               after.empty() ? "" : fmt::format(", after {}", fmt::join(after, ", ")), environment,
+               shell_line(command));
   }
 }
 

@@ -8,6 +8,7 @@ import { Ajv2019 } from "ajv/dist/2019.js";
 import { Deployment, StatefulSet } from "kubernetes-models/apps/v1";
 import { PersistentVolumeClaim, Service } from "kubernetes-models/v1";
 import { parse, parseAllDocuments } from "yaml";
+import { checkKeys } from "./keys.mjs";
 
 const [splatbus, here] = process.argv.slice(2);
 const kinds = { Deployment, StatefulSet, Service, PersistentVolumeClaim };
@@ -20,7 +21,7 @@ const validCompose = ajv.compile(JSON.parse(text));
 
 const run = (format, file, remote) => execFileSync(splatbus, ["export", format, file, ...remote], { encoding: "utf8" });
 const files = [
-  [join(here, "two_machines.yaml"), ["--remote", "far=tcp://bus:7555"]],
+  [join(here, "two_machines.yaml"), ["far=2", "--remote", "far=tcp://bus:7555"]],
   [join(here, "../../launch/demo.yaml"), []],
 ];
 
@@ -40,27 +41,57 @@ const wrong = parse(run("compose", ...files[0]));
 wrong.services.bus.imag = "x";
 assert.ok(!validCompose(wrong));
 
-// One machine: everything on the bus in memory shares processes and ipc; each of the replicas has its name and port.
+// One machine: everything on the bus in memory shares processes and ipc, with a container that ends with none of them;
+// each of the replicas has its name and port.
 const { services, secrets, volumes } = parse(run("compose", ...files[0]));
 assert.deepEqual(Object.keys(services).sort(), [
-  "bus", "far-1", "far-2", "gateway", "relight-1", "relight-2", "streamer-1", "streamer-2", "trainer"]);
-for (const [name, service] of Object.entries(services)) {
+  "bus", "far-1", "far-2", "gateway", "machine", "relight-1", "relight-2", "site", "streamer-1", "streamer-2", "trainer"]);
+const { machine, ...processes } = services;
+assert.equal(machine.ipc, "shareable");
+assert.equal(machine.restart, "always");
+assert.deepEqual(machine.secrets, Object.keys(secrets));
+for (const [name, service] of Object.entries(processes)) {
   const local = !name.startsWith("far");
-  assert.equal(service.ipc, name === "bus" ? "shareable" : local ? "service:bus" : undefined, name);
-  assert.deepEqual(service.healthcheck.test, ["CMD", "splatbus", "health", name]);
-  for (const secret of service.secrets ?? []) assert.ok(secrets[secret], secret);
-  assert.equal(service.command[service.command.indexOf("--bus") + 1], local ? "ipc:///run/splatbus" : "tcp://bus:7555");
+  for (const namespace of ["ipc", "pid"]) assert.equal(service[namespace], local ? "service:machine" : undefined, name);
+  assert.equal(service.user, "10001:10001");
+  assert.equal(service.secrets, undefined, "as the host has them nobody could read them");
+  assert.equal(service.depends_on.machine.condition, "service_healthy", "the keys are there then");
+  const ours = service.command.indexOf("--bus");
+  if (ours > 0) assert.equal(service.command[ours + 1], local ? "ipc:///run/splatbus/bus" : "tcp://bus:7555");
+  const keys = service.command.some((word) => word.includes("/run/splatbus/keys/"));
+  assert.equal(service.volumes.includes("keys:/run/splatbus/keys:ro"), keys, name);
+  assert.equal(service.volumes.includes("run:/run/splatbus/bus"), local, name);
 }
+for (const volume of ["run", "keys"]) {
+  assert.deepEqual(volumes[volume].driver_opts, { type: "tmpfs", device: "tmpfs", o: "mode=0700,uid=10001,gid=10001" });
+}
+
+// What the launch file says of health and ends.
+assert.deepEqual(services.bus.healthcheck.test, ["CMD", "splatbus", "health"], "which does not list itself");
+assert.deepEqual(services["streamer-2"].healthcheck, {
+  test: ["CMD", "splatbus", "health", "streamer-2"], interval: "10s", timeout: "10s", retries: 3, start_period: "30s" });
+assert.deepEqual(services.gateway.healthcheck, {
+  test: ["CMD", "sh", "-c",
+         "splatbus health gateway && splatbus health --http http://127.0.0.1:7680/status --timeout 3"],
+  interval: "2s", timeout: "13s", retries: 3, start_period: "30s" });
+assert.deepEqual(services.site.healthcheck, {
+  test: ["CMD", "test", "-e", "/tmp/it's there"], interval: "1s", timeout: "2s", retries: 7, start_period: "20s" });
+assert.match(services["relight-1"].healthcheck.test[3], /health --tcp 127\.0\.0\.1:7000/);
+assert.equal(services.gateway.depends_on.site.condition, "service_healthy");
+assert.equal(services.trainer.stop_grace_period, "20s");
+assert.equal(services.trainer.environment.SPLATBUS_STOP_TIMEOUT_S, "19.5");
+assert.equal(services["relight-1"].stop_grace_period, "3s");
+assert.equal(services["far-1"].environment.SPLATBUS_BUS, "tcp://bus:7555", "which its health is asked of");
 assert.deepEqual(services["streamer-1"].ports, ["7600:7600"]);
 assert.deepEqual(services["streamer-2"].ports, ["7601:7601"]);
 assert.deepEqual(services.gateway.ports, ["127.0.0.1:7680:7680"]);
-assert.deepEqual(services["far-1"].secrets, ["server_key", "allowed", "client_key"]);
 assert.deepEqual(services["relight-1"].depends_on, {
+  machine: { condition: "service_healthy" },
   bus: { condition: "service_healthy" },
   trainer: { condition: "service_healthy" } });
 assert.equal(services.trainer.deploy.resources.reservations.devices[0].capabilities[0], "gpu");
 assert.equal(services.relight, undefined);
-assert.ok(volumes.run && volumes.world);
+assert.ok(volumes.world !== undefined);
 assert.ok(services.trainer.command.includes("note=$$literal"));
 assert.equal(services.trainer.cpu_shares, 336, "as nice(1) weighs: 1024 / 1.25^5");
 
@@ -70,10 +101,27 @@ const pod = find("Deployment", "two-machines").spec.template.spec;
 assert.equal(pod.shareProcessNamespace, true);
 assert.deepEqual(pod.volumes.filter((v) => v.emptyDir).map((v) => [v.name, v.emptyDir.medium]), [["run", "Memory"], ["shm", "Memory"]]);
 const names = pod.containers.map((container) => container.name);
-assert.deepEqual(names, ["bus", "trainer", "relight-1", "relight-2", "streamer-1", "streamer-2", "gateway"]);
-assert.equal(pod.containers[1].resources.limits["nvidia.com/gpu"], 1);
-assert.deepEqual(pod.containers[4].livenessProbe.exec.command, ["splatbus", "health", "streamer-1"]);
-assert.equal(pod.containers[6].readinessProbe.httpGet.path, "/healthz");
+assert.deepEqual(names, ["bus", "trainer", "relight-1", "relight-2", "streamer-1", "streamer-2", "site", "gateway"]);
+const container = Object.fromEntries(pod.containers.map((one) => [one.name, one]));
+assert.equal(container.trainer.resources.limits["nvidia.com/gpu"], 1);
+assert.deepEqual(container["streamer-1"].livenessProbe.exec.command, ["splatbus", "health", "streamer-1"]);
+assert.equal(container["streamer-1"].livenessProbe.periodSeconds, 10);
+assert.deepEqual(container.bus.livenessProbe.exec.command, ["splatbus", "health"]);
+assert.deepEqual(container["relight-1"].livenessProbe, {
+  exec: { command: ["sh", "-c", "splatbus health relight-1 && splatbus health --tcp 127.0.0.1:7000 --timeout 1"] },
+  periodSeconds: 4, timeoutSeconds: 11, failureThreshold: 5 });
+assert.deepEqual(container.gateway.readinessProbe, {
+  exec: { command: ["splatbus", "health", "--http", "http://127.0.0.1:7680/status", "--timeout", "3"] },
+  periodSeconds: 2, timeoutSeconds: 3, failureThreshold: 3 });
+assert.deepEqual(container.site.startupProbe, {
+  exec: { command: ["test", "-e", "/tmp/it's there"] }, periodSeconds: 1, timeoutSeconds: 2, failureThreshold: 20 });
+assert.equal(container.site.livenessProbe, undefined, "nothing of it is asked once it is ready");
+assert.equal(pod.terminationGracePeriodSeconds, 20, "all containers of a pod are stopped at once");
+assert.deepEqual(pod.securityContext, {
+  runAsNonRoot: true, runAsUser: 10001, runAsGroup: 10001, fsGroup: 10001, fsGroupChangePolicy: "OnRootMismatch" });
+const demo = parseAllDocuments(run("kubernetes", ...files[1])).map((document) => document.toJS());
+const gateway = demo.find((object) => object.kind === "Deployment").spec.template.spec.containers.find((c) => c.name === "gateway");
+assert.equal(gateway.readinessProbe.httpGet.path, "/healthz");
 const ports = pod.containers.flatMap((container) => (container.ports ?? []).map((port) => port.containerPort));
 assert.equal(new Set(ports).size, ports.length, "containers of a pod share its ports");
 assert.deepEqual(find("Service", "streamer").spec.ports.map((port) => port.port), [7600, 7601]);
@@ -83,8 +131,15 @@ assert.equal(far.replicas, 2);
 assert.equal(find("Service", "far").spec.clusterIP, "None");
 assert.ok(far.template.spec.containers[0].env.some((entry) => entry.valueFrom?.secretKeyRef?.name === "splatbus-keys"));
 assert.ok(far.template.spec.containers[0].command.includes("$(POD_NAME)"));
+assert.deepEqual(far.template.spec.containers[0].livenessProbe.exec.command, ["sh", "-c", 'splatbus health "$POD_NAME"']);
+for (const spec of [pod, far.template.spec]) {
+  for (const one of spec.containers) {
+    assert.ok(!one.volumeMounts.some((mount) => mount.name === "secret"), "root's files, for whom copies them alone");
+  }
+}
 for (const object of objects.filter((o) => o.kind === "Service")) {
   const target = objects.find((o) => o.spec?.template && JSON.stringify(o.spec.selector.matchLabels) === JSON.stringify(object.spec.selector));
   assert.ok(target, `${object.metadata.name} stands before no pod`);
 }
+await checkKeys(splatbus, pod, far.template.spec, services);
 console.log(`${files.length} launch files: compose and Kubernetes hold by their schemas`);

@@ -12,5 +12,5 @@ if ! cmp -s "$here/package-lock.json" "$2/installed"; then
   fi
   cp "$here/package-lock.json" "$2/installed"
 fi
-cp "$here/manifests.mjs" "$2"  # beside its packages
+cp "$here/manifests.mjs" "$here/keys.mjs" "$2"  # beside its packages
 exec node "$2/manifests.mjs" "$1" "$here"
