@@ -11,6 +11,7 @@
 
 #include "bus/heartbeat_thread.h"
 #include "bus/log_sink.h"
+#include "bus_probe.h"
 #include "keyboard.h"
 #include "player.h"
 #include "supervised_run.h"
@@ -93,6 +94,7 @@ int play(const PlayVerbOptions& options) {
   const StopSignals signals;
   mcap::Reader reader(options.path);
   const bus::Address address = bus_address(options.bus);
+  require_bus(address);
   const auto context =
       bus::Context::create(address, options.name.empty() ? fmt::format("play-{}", ::getpid()) : options.name);
   if (!context->wait_connected(kBusPatience)) {

@@ -14,6 +14,7 @@
 
 #include "bus/heartbeat_thread.h"
 #include "bus/log_sink.h"
+#include "bus_probe.h"
 #include "mcap/reader.h"
 #include "recorder.h"
 #include "supervised_run.h"
@@ -140,6 +141,7 @@ int record(const RecordOptions& options) {
   const StopSignals signals;
   const fs::path path = options.path.empty() ? default_path() : fs::path(options.path);
   const bus::Address address = bus_address(options.bus);
+  require_bus(address);
   const auto context =
       bus::Context::create(address, options.name.empty() ? fmt::format("record-{}", ::getpid()) : options.name);
   if (!context->wait_connected(kBusPatience)) {
