@@ -26,20 +26,32 @@ const std::shared_ptr<FrameRing>& FrameRings::ring_for(std::size_t bytes) {
   if (!ring) {
     const std::size_t slots = std::clamp(kRingBytes / slot_bytes, kMinSlots, kMaxSlots);
     const std::string role = fmt::format("frames-{}k", slot_bytes >> 10);
-    ring = std::make_shared<FrameRing>(FrameRing{context_->make_slab(role, slots, slot_bytes, kind_), false, {}});
+    ring = std::make_shared<FrameRing>(
+        FrameRing{.role = role, .slab = context_->make_slab(role, slots, slot_bytes, kind_), .refusal = {}});
   }
   return ring;
+}
+
+std::vector<std::shared_ptr<FrameRing>> FrameRings::take_unused(std::int64_t now_ns) {
+  std::vector<std::shared_ptr<FrameRing>> unused;
+  std::erase_if(rings_, [&](const auto& entry) {
+    const auto& ring = entry.second;
+    if (ring.use_count() > 1 || now_ns - ring->used_ns < kUnusedNs) return false;
+    unused.push_back(ring);
+    return true;
+  });
+  return unused;
 }
 
 void FrameRings::forget(const FrameRing& ring) {
   std::erase_if(rings_, [&](const auto& entry) { return entry.second.get() == &ring; });
 }
 
-std::vector<WrittenFrame> FrameRings::write(std::span<const splatbus_frame> frames) {
+std::vector<WrittenFrame> FrameRings::write(std::span<const splatbus_frame> frames, std::int64_t now_ns) {
   std::vector<BegunFrame> begun;
   try {
     for (const splatbus_frame& frame : frames) {
-      begun.push_back(begin(frame));
+      begun.push_back(begin(frame, now_ns));
       const auto& ring = begun.back().ring;
       if (!ring) continue;
       const auto in_ring = static_cast<std::size_t>(std::ranges::count(begun, ring, &BegunFrame::ring));
@@ -52,12 +64,13 @@ std::vector<WrittenFrame> FrameRings::write(std::span<const splatbus_frame> fram
   return finish(begun);
 }
 
-FrameRings::BegunFrame FrameRings::begin(const splatbus_frame& frame) {
+FrameRings::BegunFrame FrameRings::begin(const splatbus_frame& frame, std::int64_t now_ns) {
   const std::span images(frame.images, frame.image_count);
   if (images.empty()) return {.frame = &frame, .ring = {}, .slot = 0};
   std::size_t total = 0;
   for (const splatbus_image& image : images) total += bus::aligned(image.bytes);
   BegunFrame begun{.frame = &frame, .ring = ring_for(total)};
+  begun.ring->used_ns = now_ns;
   bus::Slab& slab = *begun.ring->slab;
   begun.slot = slab.next_slot();
   std::size_t offset = 0;

@@ -58,6 +58,12 @@ void FrameSender::drop_oldest_beyond_half(const FrameRing& ring) {
   ++dropped_;
 }
 
+void FrameSender::give_back(const FrameRing& ring) {
+  const std::scoped_lock lock(mutex_);
+  given_back_.push_back(ring.role);
+  more_.notify_one();
+}
+
 std::string FrameSender::refusal(const FrameRing& ring) const {
   const std::scoped_lock lock(mutex_);
   return ring.refusal;
@@ -89,11 +95,18 @@ void FrameSender::publish_waiting() {
 void FrameSender::run(const std::stop_token& stop) {
   std::optional<std::chrono::steady_clock::time_point> end;
   std::unique_lock lock(mutex_);
-  while (more_.wait(lock, stop, [this] { return !waiting_.empty(); })) {
+  while (more_.wait(lock, stop, [this] { return !waiting_.empty() || !given_back_.empty(); })) {
     if (stop.stop_requested()) {
       const auto now = std::chrono::steady_clock::now();
       if (!end) end = now + kLinger;
       if (now > *end) return;
+    }
+    // First of all: another ring may have that role by now, and is registered after this.
+    if (const auto roles = std::exchange(given_back_, {}); !roles.empty()) {
+      lock.unlock();
+      for (const std::string& role : roles) context_->drop_slab(role);
+      lock.lock();
+      continue;
     }
     const std::shared_ptr<FrameRing> ring = waiting_.front().ring;
     if (!ring) {

@@ -1,12 +1,15 @@
 #include "sdk/messages.h"
 
+#include <fmt/format.h>
 #include <spdlog/spdlog.h>
 
 #include <algorithm>
 #include <bit>
 #include <cstring>
 #include <span>
+#include <utility>
 
+#include "bus/frames.h"
 #include "sdk/validate.h"
 #include "wire/camera_struct.h"
 
@@ -103,9 +106,15 @@ bool SetAddresses::is_ours(const wire::Header& header, std::string_view engine) 
   return true;
 }
 
-std::vector<splatbus_camera_request> read_requests(const wire::EngineCameras& root, const bus::Message& message) {
+std::vector<splatbus_camera_request> read_requests(const wire::EngineCameras& root, const bus::Message& message,
+                                                   bus::LogLimiter& limiter) {
   std::vector<splatbus_camera_request> requests;
   if (root.cameras() == nullptr) return requests;
+  std::size_t refused = 0;
+  std::string first_wrong;
+  const auto refuse = [&](std::string wrong) {
+    if (++refused == 1) first_wrong = std::move(wrong);
+  };
   for (const wire::CameraRequest* entry : *root.cameras()) {
     const wire::Camera& camera = *entry->camera();
     splatbus_camera_request request;
@@ -127,16 +136,19 @@ std::vector<splatbus_camera_request> read_requests(const wire::EngineCameras& ro
     request.light_id = entry->light_id();
     request.light_map = entry->light_map();
     request.extent_m = entry->extent_m();
-    if (const std::string wrong = problem(request); !wrong.empty()) {
-      spdlog::warn("{} from {}: {}", message.topic(), message.header().source()->str(), wrong);
-      continue;
-    }
     if (requests.size() == kMaxCameras) {
-      spdlog::warn("{} from {}: more than {} cameras; the rest is left out", message.topic(),
-                   message.header().source()->str(), kMaxCameras);
+      refuse(fmt::format("more than {} cameras", kMaxCameras));
       break;
     }
+    if (std::string wrong = problem(request); !wrong.empty()) {
+      refuse(std::move(wrong));
+      continue;
+    }
     requests.push_back(request);
+  }
+  if (refused > 0 && limiter.allow()) {
+    spdlog::warn("{} from {}: {} of its requests left out: {}", message.topic(),
+                 bus::printable(message.header().source()->string_view()), refused, first_wrong);
   }
   return requests;
 }

@@ -5,6 +5,7 @@
 #include <string_view>
 #include <vector>
 
+#include "bus/log_sink.h"
 #include "bus/subscriber.h"
 #include "sdk/splatbus_engine.h"
 #include "wire/engine_generated.h"
@@ -23,9 +24,10 @@ class SetAddresses {
   std::uint64_t asker_epoch_ = 0;
 };
 
-/// The requests of an EngineCameras message that make sense; the others are logged.
+/// The requests of an EngineCameras message that make sense, up to as many as there may be. The others are logged: how
+/// many, and what is wrong with the first, as often as `limiter` allows. Any peer may send sets as fast as he likes.
 [[nodiscard]] std::vector<splatbus_camera_request> read_requests(const wire::EngineCameras& root,
-                                                                 const bus::Message& message);
+                                                                 const bus::Message& message, bus::LogLimiter& limiter);
 
 /// The root of an EngineFrame message. The light's generation is a hash of the light: it changes when the light does,
 /// and is the same again after a restart under the same light.

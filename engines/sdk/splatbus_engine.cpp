@@ -13,6 +13,7 @@
 #include "bus/context.h"
 #include "bus/error.h"
 #include "bus/heartbeat_thread.h"
+#include "bus/log_sink.h"
 #include "bus/service.h"
 #include "bus/subscriber.h"
 #include "bus/trace.h"
@@ -48,7 +49,7 @@ struct splatbus_engine {
         heartbeats(service, "engine") {
     subscriber.on(topics::kEngineCameras, [this](const wire::EngineCameras& root, const bus::Message& message) {
       if (addresses.is_ours(message.header(), context->source())) {
-        requests_changed |= take_requests(engine_sdk::read_requests(root, message));
+        requests_changed |= take_requests(engine_sdk::read_requests(root, message, refusals));
       }
     });
   }
@@ -62,6 +63,10 @@ struct splatbus_engine {
     return !same;
   }
 
+  void give_back_unused_rings() {
+    for (const auto& ring : rings.take_unused(bus::now_ns())) sender.give_back(*ring);
+  }
+
   std::shared_ptr<bus::Context> context;
   bus::Parameters parameters{{}};
   std::stop_source stop;
@@ -72,6 +77,7 @@ struct splatbus_engine {
   bus::HeartbeatThread heartbeats;
 
   engine_sdk::SetAddresses addresses;
+  bus::LogLimiter refusals;
   std::vector<splatbus_camera_request> requests;
   bool requests_changed = false;  ///< since the last poll
   std::optional<engine_sdk::EngineClock> last;
@@ -158,6 +164,7 @@ splatbus_status splatbus_engine_submit_all(splatbus_engine* engine, const splatb
   return guarded_call(engine->error, [&] {
     require(frames != nullptr || count == 0, "splatbus_engine_submit: frames are NULL");
     std::span left(frames, count);
+    engine->give_back_unused_rings();
     bus::TracedWork work("submit picture");
     std::vector<std::int64_t> captured_ns;
     std::optional<engine_sdk::EngineClock> last = engine->last;
@@ -171,7 +178,7 @@ splatbus_status splatbus_engine_submit_all(splatbus_engine* engine, const splatb
       last = {.frame = frame.frame, .time_s = frame.time_s};
     }
     while (!left.empty()) {
-      std::vector<engine_sdk::WrittenFrame> written = engine->rings.write(left);
+      std::vector<engine_sdk::WrittenFrame> written = engine->rings.write(left, bus::now_ns());
       for (const engine_sdk::WrittenFrame& one : written) {
         if (!one.ring) continue;
         if (const std::string refusal = engine->sender.refusal(*one.ring); !refusal.empty()) {

@@ -6,6 +6,8 @@
 #include <utility>
 
 #include "../bus/child_process.h"
+#include "sdk/frame_rings.h"
+#include "sdk/frame_sender.h"
 #include "sdk_fixture.h"
 
 namespace splatbus::engine_test {
@@ -106,6 +108,58 @@ TEST_F(SdkTest, FramesThatAreSubmittedTogetherArriveInTheirOrder) {
     EXPECT_EQ(color->as<std::uint8_t>()[owned[i].color.size() - 1], i);
   }
   EXPECT_EQ(splatbus_engine_submit_all(engine.get(), nullptr, 0), SPLATBUS_OK);
+}
+
+class FrameRingsTest : public BusTest {
+ protected:
+  static constexpr std::int64_t kSecond = 1'000'000'000;
+
+  FrameRingsTest() : context_(connect("engine")), frames_(connect("tester"), {"engine/frame"}) {
+    EXPECT_TRUE(frames_.wait_connected(patience));
+  }
+  /// One of that width is submitted, and arrives.
+  void submit(std::uint32_t width, std::int64_t now_ns) {
+    splatbus_camera camera = small_camera();
+    camera.width = width;
+    OwnedFrame owned(camera);
+    auto written = rings_.write({&owned.frame, 1}, now_ns);
+    sender_.send(owned.frame, std::move(written.front()), 1);
+    const auto message = frames_.receive(patience);
+    ASSERT_TRUE(message.has_value());
+    EXPECT_TRUE(message->tensor("color").has_value());
+  }
+  std::size_t give_back(std::int64_t now_ns) {
+    const auto unused = rings_.take_unused(now_ns);
+    for (const auto& ring : unused) sender_.give_back(*ring);
+    return unused.size();
+  }
+
+  std::shared_ptr<bus::Context> context_;
+  bus::Subscriber frames_;
+  engine_sdk::FrameRings rings_{context_, Device::Cpu};
+  engine_sdk::FrameSender sender_{context_};
+};
+
+TEST_F(FrameRingsTest, OneThatNobodyWritesToForLongIsGivenBack) {
+  submit(8, 0);
+  submit(8000, 0);
+  ASSERT_EQ(broker_->statistics().slabs, 2U);
+  submit(8, 29 * kSecond);
+  EXPECT_EQ(give_back(30 * kSecond - 1), 0U);
+  EXPECT_EQ(give_back(30 * kSecond), 1U) << "the large one";
+  EXPECT_TRUE(bus_test::eventually([&] { return broker_->statistics().slabs == 1; }));
+  submit(8, 31 * kSecond);
+  EXPECT_EQ(broker_->statistics().slabs, 1U) << "the other is the one that it was";
+  submit(8000, 32 * kSecond);
+  EXPECT_EQ(broker_->statistics().slabs, 2U) << "and what is needed again is there again";
+}
+
+TEST_F(FrameRingsTest, OneWhoseFramesAreStillToBeSentStays) {
+  OwnedFrame owned(small_camera());
+  auto written = rings_.write({&owned.frame, 1}, 0);
+  EXPECT_TRUE(rings_.take_unused(100 * kSecond).empty());
+  written.clear();
+  EXPECT_EQ(rings_.take_unused(100 * kSecond).size(), 1U);
 }
 
 TEST_F(SdkTest, TheEngineOutlivesTheBroker) {
