@@ -164,9 +164,13 @@ void PageStore::publish(const bus::Publisher& publisher) const {
   };
   add("page_table", *table_slab_, {static_cast<std::uint32_t>(page_table_bytes(table_.page_capacity()))},
       bus::ElementType::U8);
+  // Not all of the last arenas: over tcp what lies beyond the last page that holds something would be copied too.
+  const std::uint32_t pages = ranges_.empty() ? 0 : (ranges_.back().first >> kPageShift) + 1;
   std::uint32_t arena = 0;
   for (const auto& slab : range_->slabs()) {
-    add("pages-" + std::to_string(arena++), *slab, {kArenaPages, page_words(layout_)}, bus::ElementType::U32);
+    const std::uint32_t before = arena * kArenaPages;
+    const std::uint32_t here = std::clamp<std::uint32_t>(pages > before ? pages - before : 0, 1, kArenaPages);
+    add("pages-" + std::to_string(arena++), *slab, {here, page_words(layout_)}, bus::ElementType::U32);
   }
   publisher.publish(
       topics::kModelPublished, info,

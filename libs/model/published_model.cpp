@@ -74,9 +74,15 @@ std::optional<PublishedModel> PublishedModel::open(const bus::Message& message, 
   if (!table) return std::nullopt;
   opened.tensors_.push_back(std::move(*table));
   for (std::uint32_t arena = 0; arena < published.arenas(); ++arena) {
-    auto pages = find_tensor(message, fmt::format("pages-{}", arena), bus::ElementType::U32,
-                             {model::kArenaPages, model::page_words(layout)});
+    auto pages =
+        find_tensor(message, fmt::format("pages-{}", arena), bus::ElementType::U32, {0, model::page_words(layout)});
     if (!pages) return std::nullopt;
+    // Mapped behind one another, slabs are to be whole arenas, however many pages of the last are in use.
+    const bool whole = pages->slab() == nullptr ||
+                       pages->slab()->descriptor().slot_bytes >= model::kArenaPages * model::page_bytes(layout);
+    if (pages->dim(0) == 0 || pages->dim(0) > model::kArenaPages || !whole) {
+      reject(message, fmt::format("arena {} has {} pages", arena, pages->dim(0)));
+    }
     opened.tensors_.push_back(std::move(*pages));
   }
   opened.take_table(message, opened.tensors_.front());
@@ -125,8 +131,9 @@ bool PublishedModel::read_pages(const bus::Message& message, std::size_t arenas)
     if (generation % 2 != 0 || entry.generation.load(std::memory_order_relaxed) != generation) return false;
     if (!model::is_present(now.state) || now.count == 0) continue;
     if (now.count > kPageLanes) reject(message, fmt::format("page {} holds {} Gaussians", page, now.count));
-    if (page >= arenas * model::kArenaPages) {
-      // In shared memory the model may have grown since: a later message has the arena.
+    const std::size_t arena = page / model::kArenaPages;
+    if (arena >= arenas || page % model::kArenaPages >= tensors_[1 + arena].dim(0)) {
+      // In shared memory the model may have grown since: a later message has the page.
       if (table_copy_ == nullptr) return false;
       reject(message, fmt::format("page {} is in none of its arenas", page));
     }

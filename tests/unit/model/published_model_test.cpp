@@ -116,6 +116,24 @@ TEST_P(PublishedModelTest, ThatHasGrownByAnArenaSinceItWasToldIsReadLater) {
   expect_truth(*after);
 }
 
+TEST_P(PublishedModelTest, OverTcpThePagesInUseAreSentAndNotAllThatThereIsMemoryFor) {
+  if (std::get<0>(GetParam()) == Device::Cuda) GTEST_SKIP() << "the broker copies from host memory";
+  bus::Subscriber far(connect_tcp("far"), {"model/published"});
+  ASSERT_TRUE(far.wait_connected(bus_test::patience));
+  ASSERT_TRUE(maker_->wait_connected(bus_test::patience));
+  add(3000);
+  store_->publish(publisher_);
+  const auto message = far.receive(bus_test::patience);
+  ASSERT_TRUE(message);
+  const auto pages = message->tensor("pages-0");
+  ASSERT_TRUE(pages);
+  EXPECT_EQ(pages->slab(), nullptr);
+  EXPECT_LT(pages->bytes(), kArenaPages / 4 * page_bytes({}));
+  auto model = PublishedModel::open(*message, wanted());
+  ASSERT_TRUE(model);
+  expect_truth(*model);
+}
+
 TEST_P(PublishedModelTest, FrozenPagesAreReadAsOthers) {
   add(3000);
   const std::uint32_t page = store_->view().ranges.front().first >> kPageShift;
