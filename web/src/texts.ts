@@ -27,6 +27,7 @@ export const texts = {
   compareSlider: 'How much of the picture is of splats; the rest is the engine\'s own',
   comparing: 'Hold still: the engine draws this view.',
   compareUnanswered: 'The engine does not answer.',
+  compareUnmeasured: 'How alike they are could not be measured.',
   compareForbidden: 'This link may not ask the engine for pictures.',
   splats: 'Splats',
   engine: 'Engine',

@@ -37,6 +37,8 @@ export class Comparison {
   #worker: Worker | null = null;
   #asked: { id: number; view: View; atMs: number } | null = null;
   #shown: { id: number; view: View; atMs: number } | null = null;
+  /** Before this the engine is not asked again. */
+  #notBeforeMs = 0;
   /** Of the picture that is shown. */
   quality: PairQuality | null = null;
 
@@ -91,7 +93,7 @@ export class Comparison {
       this.actions.notice(texts.compareUnanswered);
     }
     const due = !this.#shown || nowMs - this.#shown.atMs > kAgainMs;
-    if (!resting || this.#asked || !due) return;
+    if (!resting || this.#asked || !due || nowMs < this.#notBeforeMs) return;
     const id = Math.floor(Math.random() * Number.MAX_SAFE_INTEGER);
     this.#asked = { id, view: wanted, atMs: nowMs };
     this.actions.ask(id, wanted);
@@ -101,10 +103,13 @@ export class Comparison {
   async hear(answer: EnginePicture): Promise<void> {
     const asked = this.#asked;
     if (!this.on || asked?.id !== answer.probeId) return;
-    const splats = await this.actions.capture(asked.view, answer.transforms);
+    const splats = await this.actions.capture(asked.view, answer.transforms).catch(() => null); // a device may be lost at any time
     if (this.#asked !== asked) return; // switched off meanwhile
     this.#asked = null;
-    if (!splats || splats.width !== answer.width || splats.height !== answer.height) return;
+    if (!splats || splats.width !== answer.width || splats.height !== answer.height) {
+      this.#notBeforeMs = performance.now() + kAgainMs;
+      return;
+    }
     this.#shown = { id: asked.id, view: asked.view, atMs: performance.now() };
     this.#picture.width = answer.width;
     this.#picture.height = answer.height;
@@ -116,12 +121,21 @@ export class Comparison {
 
   #metrics(): Worker {
     if (this.#worker) return this.#worker;
-    this.#worker = new Worker('metrics_worker.js', { type: 'module', name: 'metrics' });
-    this.#worker.onmessage = ({ data }: MessageEvent<PairQuality>) => {
+    const worker = new Worker('metrics_worker.js', { type: 'module', name: 'metrics' });
+    this.#worker = worker;
+    worker.onmessage = ({ data }: MessageEvent<PairQuality>) => {
       if (data.id !== this.#shown?.id) return;
       this.quality = data;
       this.#figures.textContent = texts.likeness(data.ssim, data.flip);
     };
-    return this.#worker;
+    worker.onerror = ({ message }) => {
+      if (this.#worker !== worker) return;
+      console.warn(`pictures are not compared: ${message}`);
+      worker.terminate();
+      this.#worker = null; // the next pair has another
+      this.quality = null;
+      this.#figures.textContent = texts.compareUnmeasured;
+    };
+    return worker;
   }
 }
