@@ -19,6 +19,8 @@ export class Status {
   /** What is wrong with what draws. */
   graphics = '';
   #retryAtMs = 0;
+  /** The stream's worker has died, and what it was to hold at most. */
+  #died: { outOfMemory: boolean; budget: number } | null = null;
   /** Why the server lets nobody in; empty where it does, or is not there. */
   #refused = '';
   #shownMs = 0;
@@ -33,15 +35,23 @@ export class Status {
   hear(message: FromStreamWorker): void {
     if (message.kind === 'figures') {
       if (message.figures.missing === 0 && this.figures?.missing !== 0) this.#shownMs = -Infinity;
+      if (message.figures.gaussians > 0 && message.figures.missing === 0) this.#died = null;
       this.figures = message.figures;
       this.#rate.add(message.figures.atMs, message.figures.bytes);
     } else if (message.kind === 'connection') {
       this.connection = message.state;
       this.#shownMs = -Infinity;
       this.#retryAtMs = message.state === 'waiting' ? performance.now() + 1000 * message.retryS : 0;
-      if (message.state === 'waiting') void this.#askWhy();
+      if (message.died) this.#mourn(message.died === 'out of memory');
+      else if (message.state === 'waiting') void this.#askWhy();
       if (message.state === 'open') this.#refused = '';
+      if (message.state === 'open' && !this.#died?.outOfMemory) this.#died = null;
     }
+  }
+
+  #mourn(outOfMemory: boolean): void {
+    this.#died = { outOfMemory, budget: this.settings.budget.gaussians };
+    if (!outOfMemory) this.notice.pass(texts.workerLost);
   }
 
   /**
@@ -73,11 +83,18 @@ export class Status {
     });
     const problem =
       this.graphics ||
-      (this.#retryAtMs > 0 ? this.#refused || texts.reconnecting(waiting) : '') ||
+      this.#tooLarge(waiting) ||
+      (this.#retryAtMs > 0 ? this.#refused || (this.#died ? texts.workerLost : texts.reconnecting(waiting)) : '') ||
       doing ||
       (stage.standing ? '' : this.connection === 'open' ? texts.waitingForScene : texts.connecting);
     this.notice.keep(problem);
     return true;
+  }
+
+  /** While it is tried again too: it would not fit any better, unless somebody asks for less. */
+  #tooLarge(waiting: number): string {
+    const died = this.#died;
+    return died?.outOfMemory && this.settings.budget.gaussians >= died.budget ? texts.tooLarge(waiting) : '';
   }
 
   /** A WebSocket does not say why it was not opened. */

@@ -110,6 +110,8 @@ export class Viewer {
     addEventListener('keydown', (event) => this.#key(event));
     this.link.onMessage = (message) => this.#hear(message);
     this.link.onStarted = () => this.stage.feed();
+    addEventListener('pagehide', () => this.link.leave());
+    addEventListener('pageshow', ({ persisted }) => persisted && this.link.start()); // kept, and come back to
   }
 
   /** The last that the stream's worker said. */

@@ -35,7 +35,7 @@ export async function serve(folders, posted = []) {
     createReadStream(file).pipe(response);
   });
   await new Promise((resolve) => server.listen(0, '127.0.0.1', resolve));
-  return { url: `http://127.0.0.1:${server.address().port}`, close: () => server.close() };
+  return { url: `http://127.0.0.1:${server.address().port}`, server, close: () => server.close() };
 }
 
 /**

@@ -9,6 +9,7 @@ const kSilenceMs = 10_000;
 export class Connection {
   #socket: WebSocket | null = null;
   #heardMs = 0;
+  #startsAgain: ReturnType<typeof setTimeout> | undefined;
   readonly #backoff = new Backoff(0.25, 8);
 
   constructor(
@@ -56,6 +57,15 @@ export class Connection {
     this.#socket?.send(bytes);
   }
 
+  /** Says this last, and is not opened again. */
+  leave(last: Uint8Array<ArrayBuffer>): void {
+    if (this.open) this.send(last);
+    clearTimeout(this.#startsAgain);
+    const socket = this.#socket;
+    this.#socket = null;
+    socket?.close();
+  }
+
   /** To be called now and then. */
   watch(): void {
     const socket = this.#socket;
@@ -68,6 +78,6 @@ export class Connection {
     this.#socket = null;
     const retryS = this.#backoff.seconds();
     this.events.state('waiting', retryS);
-    setTimeout(() => this.start(), 1000 * retryS);
+    this.#startsAgain = setTimeout(() => this.start(), 1000 * retryS);
   }
 }

@@ -46,7 +46,9 @@ export type ToStreamWorker =
   | { kind: 'probe'; probeId: number; floats: Float32Array }
   /** Another Budget.megabits. */
   | { kind: 'rate'; megabits: number }
-  | { kind: 'bounds' };
+  | { kind: 'bounds' }
+  /** The page goes, and nobody is to wait for it. */
+  | { kind: 'farewell' };
 
 export type ConnectionState = 'connecting' | 'open' | 'waiting';
 
@@ -61,12 +63,14 @@ export interface StreamFigures {
   /** Pages of the model that have not come yet. */
   readonly missing: number;
   readonly bytes: number;
+  /** Since the last scene came. */
   readonly ageMs: number;
   readonly roundTripMs: number;
 }
 
 export type FromStreamWorker =
-  | { kind: 'connection'; state: ConnectionState; retryS: number }
+  /** `died`: it was the worker, and not the connection. */
+  | { kind: 'connection'; state: ConnectionState; retryS: number; died?: 'by itself' | 'out of memory' }
   | { kind: 'figures'; figures: StreamFigures }
   | { kind: 'bounds'; centre: [number, number, number]; radius: number }
   | { kind: 'picture'; picture: EnginePicture }

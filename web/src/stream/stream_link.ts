@@ -1,5 +1,6 @@
-import { Backoff } from '../backoff';
+import { Restarts } from '../restarts';
 import type { Budget, FromStreamWorker, ToStreamWorker } from './messages';
+import { saysOutOfMemory } from './out_of_memory';
 
 export interface LinkOptions {
   readonly socket: string;
@@ -11,7 +12,11 @@ export interface LinkOptions {
 export class StreamLink {
   #worker: Worker | null = null;
   #startsAgain: ReturnType<typeof setTimeout> | undefined;
-  readonly #backoff = new Backoff(0.25, 8);
+  readonly #deaths = new Restarts(0.25, 8);
+  /** Of a model that does not fit: each has cost most of its download, however long that took. */
+  readonly #tooLarge = new Restarts(5, 300);
+  /** The model has been there as a whole. */
+  #whole = false;
   onMessage: (message: FromStreamWorker) => void = () => {};
   /** A worker has started that knows nothing of who draws. */
   onStarted: () => void = () => {};
@@ -23,22 +28,27 @@ export class StreamLink {
     this.#worker?.terminate();
     const worker = new Worker('stream_worker.js', { type: 'module', name: 'stream' });
     this.#worker = worker;
-    const died = (): void => {
+    this.#whole = false;
+    this.#deaths.started(performance.now());
+    const died = (reason: string): void => {
       if (this.#worker !== worker) return;
+      console.warn(`the stream's worker has died: ${reason}`);
       worker.terminate();
       this.#worker = null;
-      const retryS = this.#backoff.seconds();
-      this.onMessage({ kind: 'connection', state: 'waiting', retryS });
+      const tooLarge = saysOutOfMemory(reason);
+      const now = performance.now();
+      const retryS = tooLarge ? this.#tooLarge.ended(now, this.#whole) : this.#deaths.ended(now);
+      this.onMessage({ kind: 'connection', state: 'waiting', retryS, died: tooLarge ? 'out of memory' : 'by itself' });
       this.#startsAgain = setTimeout(() => this.start(), 1000 * retryS);
     };
-    worker.onerror = died;
-    worker.onmessageerror = died;
+    worker.onerror = ({ message }) => died(message ?? 'its script');
+    worker.onmessageerror = () => died('a message');
     worker.onmessage = ({ data }: MessageEvent<FromStreamWorker>) => {
+      if (worker !== this.#worker) return;
       if (data.kind === 'failed') {
-        console.warn(data.reason);
-        died();
+        died(data.reason);
       } else {
-        if (data.kind === 'connection' && data.state === 'open') this.#backoff.reset();
+        if (data.kind === 'figures' && data.figures.gaussians > 0 && data.figures.missing === 0) this.#whole = true;
         this.onMessage(data);
       }
     };
@@ -52,12 +62,18 @@ export class StreamLink {
     this.options.budget = budget;
     if (budget.megabits !== megabits) this.send({ kind: 'rate', megabits: budget.megabits });
     if (budget.gaussians === gaussians) return;
+    this.#tooLarge.reset();
     this.start();
   }
 
   /** Nothing while there is no worker: who starts one is told. */
   send(message: ToStreamWorker, transfer: Transferable[] = []): void {
     this.#worker?.postMessage(message, transfer);
+  }
+
+  /** The page goes. */
+  leave(): void {
+    this.send({ kind: 'farewell' });
   }
 
   /** For tests of what comes after. */

@@ -79,6 +79,9 @@ class Stream {
         if (bounds) scope.postMessage({ kind: 'bounds', ...bounds });
         break;
       }
+      case 'farewell':
+        this.#connection.leave(this.#follower.farewell());
+        break;
     }
   }
 
@@ -86,7 +89,7 @@ class Stream {
     const result = this.#follower.receive(bytes, performance.now());
     if (result === 'refused' && this.#warned++ < 10) console.warn(`a packet was refused: ${this.#follower.error}`);
     if (result === 'out of memory') {
-      scope.postMessage({ kind: 'failed', reason: 'the model did not fit into memory' });
+      scope.postMessage({ kind: 'failed', reason: 'out of memory: the model does not fit' });
       scope.close(); // nothing more is shown of what is half gone
       return;
     }

@@ -14,15 +14,16 @@ const noColors = { rows: new Uint32Array(0), colors: new Uint32Array(0) };
 let clockOriginMs = performance.timeOrigin;
 let publisher: Publisher;
 let poses = 0;
+let held = 0;
 
 const figures = (): StreamFigures => ({
   atMs: performance.now(),
-  gaussians: scene.gaussians.length,
+  gaussians: held,
   sequence: poses,
   epoch: 1,
   sceneVersion: 1,
-  missing: 0,
-  bytes: 32 * scene.gaussians.length,
+  missing: held < scene.gaussians.length ? 7 : 0,
+  bytes: 32 * held,
   ageMs: 5,
   roundTripMs: 1,
 });
@@ -60,6 +61,8 @@ new BroadcastChannel('player').onmessage = ({ data }: MessageEvent<number[] | nu
 /** The connection is lost, to be tried again in so many seconds; 0: it is there again. */
 new BroadcastChannel('connection').onmessage = ({ data }: MessageEvent<number>) =>
   scope.postMessage({ kind: 'connection', state: data > 0 ? 'waiting' : 'open', retryS: data });
+/** The worker cannot go on, for this reason. */
+new BroadcastChannel('fail').onmessage = ({ data }: MessageEvent<string>) => scope.postMessage({ kind: 'failed', reason: data });
 const asked = new BroadcastChannel('asked');
 
 scope.onmessage = ({ data }) => {
@@ -67,9 +70,9 @@ scope.onmessage = ({ data }) => {
     clockOriginMs = data.clockOriginMs;
     publisher = new Publisher(() => (performance.timeOrigin + performance.now() - clockOriginMs) / 1000, data.budget.gaussians);
     // What there is no room for never comes.
-    const count = Math.min(scene.gaussians.length, data.budget.gaussians);
-    const rows = Uint32Array.from({ length: count }, (_, row) => row);
-    publisher.publish({ rows, records: scene.records.slice(0, 8 * count) }, noColors, state, kUntimed, count === scene.gaussians.length);
+    held = Math.min(scene.gaussians.length, data.budget.gaussians);
+    const rows = Uint32Array.from({ length: held }, (_, row) => row);
+    publisher.publish({ rows, records: scene.records.slice(0, 8 * held) }, noColors, state, kUntimed, held === scene.gaussians.length);
     scope.postMessage({ kind: 'connection', state: 'open', retryS: 0 });
   } else if (data.kind === 'attach') {
     publisher.attach(data.port, data.shown);
