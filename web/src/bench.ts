@@ -64,6 +64,7 @@ class Flight {
 /** A flight that the address asked for, once all of the scene is there, and what was said of it. */
 export class BenchRun {
   #flight: Flight | null = null;
+  #resolutions = new Set<number>();
   #due = false;
   #text = '';
 
@@ -91,17 +92,24 @@ export class BenchRun {
     this.#due = false;
   }
 
+  /** A picture of the splats' own target so fine. */
+  drawn(resolution: number): void {
+    if (this.#flight) this.#resolutions.add(resolution);
+  }
+
   /** Where the camera is; null when no flight is under way. `told` is what is reported with the figures of one that ends. */
   at(nowS: number, told: () => object): Pose | null {
     const flown = this.#flight;
     const pose = flown?.at(nowS) ?? null;
     if (!flown || pose) return pose;
     this.#flight = null;
-    void this.#report({ ...flown.figures(), ...told() }, flown.figures());
+    void this.#report({ ...flown.figures(), ...told(), resolutions: [...this.#resolutions] }, flown.figures());
     return null;
   }
 
-  text(nowS: number): string {
+  /** `missing`: pages that have not come. */
+  text(nowS: number, missing: number): string {
+    if (this.asked || this.#due) return texts.benchWaiting(missing);
     return this.#flight ? texts.benchRunning(this.#flight.part(nowS)) : this.#text;
   }
 

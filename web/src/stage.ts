@@ -206,6 +206,11 @@ export class Stage {
     return (await this.#renderer?.capture(frame)) ?? null;
   }
 
+  /** How long ago that was what is shown; null where nobody knows: see Playout. */
+  ageMs(nowMs: number): number | null {
+    return this.#playout.ageMs(nowMs);
+  }
+
   /** False: there is nothing to draw yet. */
   draw(frame: Frame, atRest: boolean): boolean {
     const renderer = this.#renderer;

@@ -74,7 +74,7 @@ export class Status {
       gaussians: known(figures?.gaussians, (n) => n.toLocaleString('en')),
       rate: texts.rate(this.#rate.megabits, this.settings.budget.megabits),
       roundTrip: known(figures?.roundTripMs, texts.ms),
-      age: known(figures?.ageMs, texts.ms),
+      age: known(this.#ageMs(nowMs), texts.ms),
       missing: known(figures?.missing, texts.pages),
       uploaded: stage.uploadedRows.toLocaleString('en'),
       resolution: resolution > 0 ? `${Math.round(100 * resolution)} %` : texts.unknown,
@@ -95,6 +95,12 @@ export class Status {
   #tooLarge(waiting: number): string {
     const died = this.#died;
     return died?.outOfMemory && this.settings.budget.gaussians >= died.budget ? texts.tooLarge(waiting) : '';
+  }
+
+  /** Where nobody knows the engine's clock, since the last scene came: see Playout. */
+  #ageMs(nowMs: number): number | undefined {
+    const shown = this.stage.ageMs(nowMs);
+    return shown === null ? this.figures?.ageMs : shown + Math.max(0, this.figures?.roundTripMs ?? 0) / 2;
   }
 
   /** A WebSocket does not say why it was not opened. */

@@ -97,6 +97,8 @@ export const texts = {
   workerLost: 'The stream had to be started again.',
   tooLarge: (seconds: number) =>
     `This device has too little memory for the scene: choose fewer Gaussians in the menu.${seconds > 0 ? ` Trying again in ${Math.ceil(seconds)} s.` : ''}`,
+  /** Negative: nobody knows yet how much. */
+  benchWaiting: (missing: number) => `To be measured when the scene is there${missing > 0 ? `: ${missing} pages have not come` : ''}.`,
   benchRunning: (part: number) => `Measuring: ${Math.round(100 * part)} %`,
   benchDone: (fps: number, ms: number) => `${fps.toFixed(1)} frames/s, ${ms.toFixed(1)} ms in the middle.`,
   benchPosted: 'The figures were sent to the server.',

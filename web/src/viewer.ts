@@ -4,12 +4,14 @@ import { Player } from './camera/player';
 import { Rig, viewOf } from './camera/rig';
 import { BenchRun } from './bench';
 import { Extras } from './extras';
-import { poseFloats, type View } from './math';
+import { Framing } from './framing';
+import { poseFloats, type Vec3, type View } from './math';
 import { Pace } from './pace';
 import type { Api } from './render/make_renderer';
 import type { Frame } from './render/renderer';
 import { Stage } from './stage';
 import { Status } from './status';
+import { Arrival } from './stream/arrival';
 import type { ConnectionState, FromStreamWorker, StreamFigures } from './stream/messages';
 import { StreamLink } from './stream/stream_link';
 import { texts } from './texts';
@@ -56,7 +58,8 @@ export class Viewer {
   readonly #player = new Player();
   #rested = true;
   #redraw = true;
-  #framed = false;
+  readonly #framing = new Framing();
+  readonly #arrival = new Arrival();
   readonly #bench: BenchRun;
   readonly extras: Extras;
   /** Pictures drawn since the page was opened. */
@@ -136,7 +139,7 @@ export class Viewer {
 
   /** A view came with the address: nothing else is shown of its own accord. */
   keepView(): void {
-    this.#framed = true;
+    this.#framing.end();
   }
 
   frameAll(): void {
@@ -151,6 +154,7 @@ export class Viewer {
       this.#steered = true;
       this.#player.following = false;
     }
+    this.#frameWhatCame(seconds);
     const flown = this.#bench.at(nowMs / 1000, () => this.#benchContext());
     if (flown) this.rig.jump(flown);
     if (flown || this.#player.goAlong(this.stage.sceneAt(nowMs), this.rig)) this.#movedMs = nowMs;
@@ -162,7 +166,7 @@ export class Viewer {
     this.#announce(view, nowMs);
     this.#draw(view, nowMs);
     this.extras.comparison.advance(nowMs, view, this.stage.standing && nowMs - this.#movedMs > kSettleMs);
-    if (this.#status.show(nowMs, this.#drawn.resolution, this.#bench.text(nowMs / 1000))) {
+    if (this.#status.show(nowMs, this.#drawn.resolution, this.#bench.text(nowMs / 1000, this.figures?.missing ?? -1))) {
       this.#menu.offerPlayer(this.stage.scene.player > 0, this.#player.following);
     }
     if (this.#steered && !this.#bench.flying && nowMs - this.#movedMs > kSettleMs) this.#address.keep(nowMs, this.rig.goal);
@@ -183,6 +187,7 @@ export class Viewer {
   #resolution(nowMs: number): number {
     const { quality } = this.options.settings;
     if (quality !== 'auto') return kResolutions[quality];
+    if (this.#bench.flying) return 1; // pictures that are measured are all alike
     return nowMs - Math.max(this.#movedMs, this.#changedMs) > kSettleMs ? 1 : this.#pace.resolution;
   }
 
@@ -199,6 +204,7 @@ export class Viewer {
     this.#rested = settled;
     if (!this.stage.draw(this.#frame(view, resolution, nowMs), settled)) return;
     ++this.frames;
+    this.#bench.drawn(resolution);
     if (this.firstPictureMs === 0) this.firstPictureMs = performance.now();
     if (moving) this.#pace.drawn(nowMs);
     else this.#pace.rest();
@@ -233,13 +239,11 @@ export class Viewer {
   #hear(message: FromStreamWorker): void {
     this.#status.hear(message);
     if (message.kind === 'figures') {
-      const unframed = !this.#framed && !this.#steered;
-      const flies = this.#bench.asked && this.stage.standing && message.figures.missing === 0;
-      if (message.figures.gaussians > 0 && (unframed || flies)) {
-        this.#framed = true;
-        if (flies) this.#bench.prepare();
-        this.frameAll();
-      }
+      const now = performance.now();
+      const settled = this.#arrival.settled(message.figures, this.connection === 'open', now);
+      const flies = this.#bench.asked && this.stage.standing && settled;
+      if (flies) this.#bench.prepare();
+      if (this.#framing.asks(message.figures, settled, now) || flies) this.frameAll();
     } else if (message.kind === 'bounds') {
       this.#showAll(message.centre, message.radius);
     } else if (message.kind === 'picture') {
@@ -247,12 +251,24 @@ export class Viewer {
     }
   }
 
-  #showAll(centre: [number, number, number], radius: number): void {
+  #showAll(centre: Vec3, radius: number): void {
     this.#bench.around(centre, radius);
+    if (this.#framing.takes(centre, radius)) return;
+    this.#frameSphere(centre, radius);
+    if (!this.#steered) this.#goal = this.rig.goal;
+  }
+
+  #frameWhatCame(seconds: number): void {
+    if (this.#steered || this.#player.following) this.#framing.end();
+    const sphere = this.#framing.advance(this.rig.smooth ? seconds : Infinity);
+    if (!sphere) return;
+    this.#frameSphere(sphere.centre, sphere.radius);
+  }
+
+  #frameSphere(centre: Vec3, radius: number): void {
     const { clientWidth, clientHeight } = this.stage.element;
     this.rig.frame(centre, radius, clientWidth, clientHeight);
     if (!this.stage.standing) this.rig.jump(this.rig.goal);
-    if (!this.#steered) this.#goal = this.rig.goal;
   }
 
   #benchContext(): object {

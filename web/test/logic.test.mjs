@@ -59,6 +59,27 @@ for (const [jitterMs, seed] of [[0, 1], ...Array.from({ length: 20 }, (_, k) => 
   });
 }
 
+test('the age of a picture is since that was what it shows, but for the quickest way here', () => {
+  const playout = new logic.Playout();
+  assert.equal(playout.ageMs(0), null, 'nobody knows');
+  const kAhead = 5000;
+  const kWayMs = 30;
+  for (let k = 0, now = 0; now < 3000; now += 1000 / 60) {
+    for (; (1000 * k) / 30 + kWayMs + 20 * (k % 2) <= now; ++k) {
+      const ms = (1000 * k) / 30;
+      playout.add(sceneOf(ball(ms)), { captureMs: kAhead + ms, arrivedMs: ms + kWayMs + 20 * (k % 2) });
+    }
+    const at = playout.at(now)?.transforms;
+    if (!at) continue;
+    // Where the ball is seen says when that was, within its two seconds.
+    const shown = (1000 / Math.PI) * Math.atan2(at[23], at[15]);
+    const age = (((now - kWayMs - shown) % 2000) + 2000) % 2000;
+    const said = playout.ageMs(now);
+    assert.ok(Math.abs(said - age) < 2 || Math.abs(said - age) > 1998, `${said} ms for ${age} ms at ${now} ms`);
+    if (now > 1000) assert.ok(said > 20 && said < 80, `${said}`);
+  }
+});
+
 test('a motion goes on for a tenth of a second without scenes, and rests then', () => {
   const playout = new logic.Playout();
   for (const ms of [1000, 1033, 1066]) playout.add(sceneOf(ball(ms)), { captureMs: ms, arrivedMs: ms });

@@ -84,6 +84,11 @@ export class Playout {
     return this.#kept.length > 0 ? this.shownMs(nowMs) : null;
   }
 
+  /** How long before `nowMs` that was what is shown then, but for the time that the scene that came fastest was under way; null where nobody knows. */
+  ageMs(nowMs: number): number | null {
+    return this.#kept.length > 0 ? nowMs + this.#offset() - this.shownMs(nowMs) : null;
+  }
+
   /** Null where nothing is known, and the newest scene is to be shown. */
   at(nowMs: number): Played | null {
     const kept = this.#kept;
