@@ -17,7 +17,9 @@ export interface PageActions {
   readonly frame: (view: View, resolution: number, nowMs: number) => Frame;
   /** From where is looked, to those who sort and to the streamer. */
   readonly announce: (view: View, nowMs: number) => void;
-  readonly drawn: () => void;
+  /** So fine in a headset. */
+  readonly resolution: () => number;
+  readonly drawn: (nowMs: number) => void;
   readonly redraw: () => void;
   readonly notice: (text: string) => void;
 }
@@ -26,6 +28,8 @@ export interface PageActions {
 export class Extras {
   readonly comparison: Comparison;
   immersion: Immersion | null = null;
+  /** A headset has been asked for, or is on. */
+  #immersed = false;
 
   constructor(
     private readonly stage: Stage,
@@ -64,11 +68,13 @@ export class Extras {
   }
 
   async immerse(): Promise<void> {
+    if (this.#immersed) return;
+    this.#immersed = true;
     let drawing: EyeRenderer | null = null;
     const renderer = async (): Promise<EyeRenderer> => {
-      const found = await this.stage.use('webgl2');
-      if (!found || !('drawEyes' in found)) throw new Error(texts.lacks.webgl2);
-      return (drawing = found as EyeRenderer);
+      drawing = await this.stage.lend();
+      if (!drawing) throw new Error(texts.lacks.webgl2);
+      return drawing;
     };
     try {
       this.immersion = await Immersion.start(renderer, {
@@ -83,28 +89,38 @@ export class Extras {
           this.page.announce(head, nowMs);
         },
         draw: (target, eyes, nowMs) => {
-          if (!drawing || this.stage.renderer !== drawing) {
+          if (!drawing || this.stage.renderer !== drawing || drawing.isLost) {
+            if (this.immersion) this.page.notice(texts.immersionFailed(texts.lacks.lost));
             this.immersion?.end(); // the headset's target went with the context
             return;
           }
-          drawing.drawEyes(target, eyes, this.page.frame(eyes[0].view, 1, nowMs));
-          this.page.drawn();
+          drawing.drawEyes(target, eyes, this.page.frame(eyes[0].view, this.page.resolution(), nowMs));
+          this.page.drawn(nowMs);
         },
-        ended: () => {
-          this.immersion = null;
-          this.page.redraw();
-        },
+        ended: () => this.#comeBack(),
       });
     } catch (error) {
+      this.#comeBack();
       this.page.notice(texts.immersionFailed(error instanceof Error ? error.message : String(error)));
     }
   }
 
+  /** From the headset, or from the way there, to the page. */
+  #comeBack(): void {
+    this.immersion = null;
+    this.#immersed = false;
+    this.stage.takeBack();
+    this.page.redraw();
+  }
+
   async saveSnapshot(): Promise<void> {
-    const { renderer } = this.stage;
-    if (!renderer) return;
-    const picture = await renderer.capture(this.page.frame(this.page.view(), 1, performance.now()));
-    await savePng(picture, `splatbus-${new Date().toISOString().replaceAll(':', '-').slice(0, 19)}.png`);
+    try {
+      const picture = await this.stage.capture(this.page.frame(this.page.view(), 1, performance.now()));
+      if (picture) return await savePng(picture, `splatbus-${new Date().toISOString().replaceAll(':', '-').slice(0, 19)}.png`);
+    } catch (error) {
+      console.warn(error); // a device may be lost at any time
+    }
+    this.page.notice(texts.snapshotFailed);
   }
 
   async share(): Promise<void> {

@@ -1,14 +1,17 @@
-import { Backoff } from './backoff';
 import { ColorPlayout } from './motion/color_playout';
 import { Playout } from './motion/playout';
-import { makeRenderer, type Api } from './render/make_renderer';
+import { giveUpWebGpu, makeRenderer, type Api } from './render/make_renderer';
 import { kNoScene, type Scene } from './records';
-import { kFadeS, type Frame, type Picture, type Renderer } from './render/renderer';
+import { kFadeS, type EyeRenderer, type Frame, type Picture, type Renderer } from './render/renderer';
+import { Restarts } from './restarts';
+import { Still } from './still';
 import type { SceneBatch, Sorted, ToSortWorker } from './stream/messages';
 import { make } from './ui/dom';
 
-const kStillEveryMs = 2000;
-const kStillQuality = 0.95;
+/** Devices of WebGPU that are lost one soon after the other. */
+const kMostLosses = 3;
+
+const isForHeadset = (renderer: Renderer | null): renderer is EyeRenderer => renderer !== null && (renderer as EyeRenderer).forHeadset === true;
 
 /**
  * What draws, and what it is fed by. A device or a sorter that is lost is replaced, and everything asked for again; until
@@ -16,16 +19,21 @@ const kStillQuality = 0.95;
  */
 export class Stage {
   readonly element = make('div', { class: 'stage', tabindex: '0', role: 'application' });
-  /**
-   * Beneath the canvas that draws: it is there at the moment when that one shows nothing any more. No canvas itself, for all
-   * of a page's go with the GPU's process.
-   */
-  readonly #still = make('img', { class: 'still', alt: '', decoding: 'sync', hidden: '' });
-  readonly #backoff = new Backoff(0.25, 8);
+  readonly #still = new Still();
+  readonly #devices = new Restarts(0.25, 8);
+  readonly #sorters = new Restarts(0.25, 8);
+  #startsAgain: ReturnType<typeof setTimeout> | undefined;
+  #feedsAgain: ReturnType<typeof setTimeout> | undefined;
+  /** Of starts: what an earlier one still makes is not wanted any more. */
+  #newest = 0;
   #canvas = make('canvas');
   #renderer: Renderer | null = null;
+  /** A headset is drawn for, and what drew before it. */
+  #lent: { before: Api | null } | null = null;
   /** The renderer has rows: before that it would draw a background alone. */
   #fed = false;
+  /** Where batches come from, if not from the sorter. */
+  #source: MessagePort | null = null;
   #sorter: Worker | null = null;
   #sorting = false;
   #view: Float64Array | null = null;
@@ -35,7 +43,6 @@ export class Stage {
   #uploadedBefore = 0;
   /** Gaussians of the last picture. */
   #shown = 0;
-  #stillAt = 0;
   #changedMs = -Infinity;
   readonly #playout = new Playout();
   readonly #colors = new ColorPlayout();
@@ -46,14 +53,14 @@ export class Stage {
   sortMs: number | null = null;
 
   constructor(
-    private wanted: Api | null,
+    private readonly wanted: Api | null,
     /** Everything is wanted, through this port, in place of the Gaussians that are shown. */
     private readonly attach: (port: MessagePort, shown: number) => void,
     /** As many batches are in what is drawn from now on. */
     private readonly taken: (batches: number) => void,
     private readonly say: (problem: 'lost' | 'found' | { missing: string }) => void,
   ) {
-    this.element.append(this.#still);
+    this.element.append(this.#still.element);
   }
 
   get renderer(): Renderer | null {
@@ -64,15 +71,23 @@ export class Stage {
   }
 
   async start(): Promise<void> {
+    clearTimeout(this.#startsAgain);
+    const start = ++this.#newest;
     const canvas = make('canvas');
     let renderer: Renderer;
     try {
-      renderer = await makeRenderer(canvas, this.wanted);
+      renderer = await makeRenderer(canvas, this.wanted, this.#lent !== null);
     } catch (error) {
+      if (start !== this.#newest) return;
       this.say({ missing: error instanceof Error ? error.message : String(error) });
-      setTimeout(() => void this.start(), 1000 * this.#backoff.seconds());
+      this.#startAgain();
       return;
     }
+    if (start !== this.#newest) {
+      renderer.dispose();
+      return;
+    }
+    this.#devices.started(performance.now());
     this.#canvas.remove();
     this.#canvas = canvas;
     canvas.hidden = true;
@@ -84,30 +99,52 @@ export class Stage {
     void renderer.lost.then((reason) => {
       if (this.#renderer !== renderer) return;
       console.warn(reason);
-      this.#uploadedBefore += renderer.uploaded.rows;
-      this.#renderer = null;
-      canvas.hidden = true;
+      this.#drop();
       this.say('lost');
-      setTimeout(() => void this.start(), 1000 * this.#backoff.seconds());
+      this.#startAgain();
+      if (renderer.api === 'webgpu' && this.#devices.inARow >= kMostLosses) giveUpWebGpu();
     });
     this.feed();
   }
 
-  /** The renderer of this interface, started if another one draws. */
-  async use(api: Api): Promise<Renderer | null> {
-    if (this.#renderer?.api === api) return this.#renderer;
-    this.wanted = api;
-    const before = this.#renderer;
+  #startAgain(): void {
+    this.#startsAgain = setTimeout(() => void this.start(), 1000 * this.#devices.ended(performance.now()));
+  }
+
+  #drop(): void {
+    const renderer = this.#renderer;
     this.#renderer = null;
     this.#canvas.hidden = true;
-    before?.dispose();
-    await this.start();
-    return this.#renderer;
+    this.#uploadedBefore += renderer?.uploaded.rows ?? 0;
+    renderer?.dispose();
+  }
+
+  /** One that a headset can show takes the place of what draws, until takeBack(). Null where there is none. */
+  async lend(): Promise<EyeRenderer | null> {
+    this.#lent ??= { before: this.#renderer?.api ?? null };
+    if (!isForHeadset(this.#renderer)) {
+      this.#drop();
+      await this.start();
+    }
+    return isForHeadset(this.#renderer) ? this.#renderer : null;
+  }
+
+  /** The headset is off, or could not be used: what drew before it draws again. */
+  takeBack(): void {
+    const lent = this.#lent;
+    this.#lent = null;
+    if (!lent || (this.#renderer && this.#renderer.api === lent.before)) return;
+    this.#drop();
+    void this.start();
   }
 
   /** Asks for everything anew: after a start of the renderer, of the sorter or of the stream. */
   feed(): void {
+    clearTimeout(this.#feedsAgain);
+    this.#feedsAgain = undefined;
     if (!this.#renderer) return;
+    this.#source?.close();
+    this.#source = null;
     this.#sorter?.terminate();
     this.#sorter = null;
     this.#sorting = false;
@@ -115,7 +152,11 @@ export class Stage {
     this.#order = null;
     const { port1, port2 } = new MessageChannel();
     if (this.#renderer.sortsItself) {
-      port1.onmessage = ({ data }: MessageEvent<SceneBatch>) => this.#batches.push(data);
+      this.#source = port1;
+      this.sortMs = null; // nobody measures it
+      port1.onmessage = ({ data }: MessageEvent<SceneBatch>) => {
+        if (this.#source === port1) this.#batches.push(data);
+      };
     } else {
       this.#startSorter(port1);
     }
@@ -125,6 +166,7 @@ export class Stage {
   #startSorter(source: MessagePort): void {
     const sorter = new Worker('sort_worker.js', { type: 'module', name: 'sort' });
     this.#sorter = sorter;
+    this.#sorters.started(performance.now());
     sorter.onmessage = ({ data }: MessageEvent<Sorted>) => {
       if (this.#sorter !== sorter) return;
       this.#batches.push(...data.batches);
@@ -134,7 +176,9 @@ export class Stage {
       this.#sortDue();
     };
     sorter.onerror = () => {
-      if (this.#sorter === sorter) setTimeout(() => this.feed(), 1000 * this.#backoff.seconds());
+      // Whatever else it was told goes wrong as well. It is ended with the start of the next: of one that is gone nobody learns why.
+      if (this.#sorter !== sorter || this.#feedsAgain !== undefined) return;
+      this.#feedsAgain = setTimeout(() => this.feed(), 1000 * this.#sorters.ended(performance.now()));
     };
     const message: ToSortWorker = { kind: 'source', port: source };
     sorter.postMessage(message, [source]);
@@ -211,24 +255,15 @@ export class Stage {
     return this.#playout.ageMs(nowMs);
   }
 
-  /** False: there is nothing to draw yet. */
+  /** False: there is nothing to draw yet, or nothing to draw with. */
   draw(frame: Frame, atRest: boolean): boolean {
     const renderer = this.#renderer;
     if (!renderer || !this.#fed) return false;
     renderer.draw(frame);
+    const counts = (): boolean => this.#renderer === renderer && !renderer.isLost;
+    if (!counts()) return false;
     this.#canvas.hidden = false;
-    this.#backoff.reset();
-    const now = performance.now();
-    if (!atRest && now - this.#stillAt < kStillEveryMs) return true;
-    this.#stillAt = now;
-    this.#canvas.toBlob((blob) => blob && this.#keep(blob), 'image/jpeg', kStillQuality);
+    this.#still.take(this.#canvas, atRest, counts);
     return true;
-  }
-
-  #keep(picture: Blob): void {
-    const before = this.#still.src;
-    this.#still.src = URL.createObjectURL(picture);
-    this.#still.hidden = false;
-    if (before) URL.revokeObjectURL(before);
   }
 }

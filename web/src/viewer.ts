@@ -88,7 +88,11 @@ export class Viewer {
       view: () => this.#view(),
       frame: (shown, resolution, nowMs) => this.#frame(shown, resolution, nowMs),
       announce: (shown, nowMs) => this.#announce(shown, nowMs),
-      drawn: () => ++this.frames,
+      resolution: () => this.#resolution(this.#movedMs), // a head never rests
+      drawn: (nowMs) => {
+        ++this.frames;
+        this.#pace.drawn(nowMs);
+      },
       redraw: () => (this.#redraw = true),
       notice: (text) => this.#status.notice.pass(text),
     });

@@ -6,7 +6,15 @@ import { kStart, opened, view } from './opened_page.mjs';
 /** A headset that is none: two eyes beside one another in a texture, 64 mm apart, that looks where the test says. */
 function emulateXr() {
   const kEye = 128;
-  const xr = { yaw: 0, ended: false, lower: null };
+  const xr = { yaw: 0, ended: false, lower: null, layers: true };
+  // A machine of two GPUs: the headset hangs on the one that a page is not given unasked.
+  const compatible = new WeakSet();
+  const { getContext } = HTMLCanvasElement.prototype;
+  HTMLCanvasElement.prototype.getContext = function (kind, asked) {
+    const context = getContext.call(this, kind, asked);
+    if (asked?.xrCompatible) compatible.add(context);
+    return context;
+  };
   const matrix = (x) => {
     const [c, s] = [Math.cos(xr.yaw), Math.sin(xr.yaw)];
     const [px, py, pz] = [x * c, 0, -x * s];
@@ -39,13 +47,13 @@ function emulateXr() {
   }
   window.XRWebGLLayer = class {
     constructor(session, gl) {
+      if (!xr.layers) throw new Error('no layer');
       const texture = gl.createTexture();
       gl.bindTexture(gl.TEXTURE_2D, texture);
       gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA8, 2 * kEye, kEye);
       this.framebuffer = gl.createFramebuffer();
       gl.bindFramebuffer(gl.FRAMEBUFFER, this.framebuffer);
       gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, texture, 0);
-      gl.makeXRCompatible = async () => {};
       xr.pixels = (x) => {
         const out = new Uint8Array(4 * kEye * kEye);
         gl.bindFramebuffer(gl.FRAMEBUFFER, this.framebuffer);
@@ -57,10 +65,30 @@ function emulateXr() {
       return { x: eye === 'left' ? 0 : kEye, y: 0, width: kEye, height: kEye };
     }
   };
-  WebGL2RenderingContext.prototype.makeXRCompatible = async () => {};
-  Object.defineProperty(navigator, 'xr', { value: { isSessionSupported: async () => true, requestSession: async () => (xr.session = new Session()) } });
+  WebGL2RenderingContext.prototype.makeXRCompatible = async function () {
+    if (!compatible.has(this)) this.getExtension('WEBGL_lose_context').loseContext();
+  };
+  const requestSession = async () => {
+    xr.ended = false;
+    return (xr.session = new Session());
+  };
+  Object.defineProperty(navigator, 'xr', { value: { isSessionSupported: async () => true, requestSession } });
   window.xr = xr;
 }
+
+const kQuality = (quality) => (page) =>
+  page.addInitScript((chosen) => localStorage.setItem('splatbus.settings', JSON.stringify({ quality: chosen })), quality);
+const putOn = async (page) => {
+  await page.evaluate(() => document.querySelector('.menu').open || document.querySelector('.menu').show());
+  await page.getByRole('button', { name: 'Headset' }).click();
+};
+const isOn = (page) => page.waitForFunction(() => window.splatbus.extras.immersion && window.xr.pixels);
+const drawsBy = (page, api) =>
+  page.waitForFunction((name) => {
+    const { stage } = window.splatbus;
+    return stage.renderer?.api === name && !stage.element.querySelector('canvas:not(.still)').hidden;
+  }, api);
+const says = (page, text) => page.waitForFunction((part) => document.querySelector('.notice').textContent.includes(part), text);
 
 test('a headset is given both eyes of one sort, and the page goes on when it is taken off', () =>
   opened(
@@ -111,6 +139,88 @@ test('a headset is given both eyes of one sort, and the page goes on when it is 
       await page.waitForFunction(() => !window.splatbus.extras.immersion);
       await page.evaluate(() => window.splatbus.rig.zoom(0.9));
       await page.waitForFunction((frames) => window.splatbus.frames > frames, before);
+    },
+    { init: emulateXr, before: kQuality('full') },
+  ));
+
+test('a headset is drawn for as finely as the menu says', () =>
+  opened(
+    `index.html?gpu=webgl2#${view(kStart)}`,
+    async (page) => {
+      await putOn(page);
+      await isOn(page);
+      const drawn = await page.evaluate(async () => {
+        const resolutions = new Set();
+        const { renderer } = window.splatbus.stage;
+        const drawEyes = renderer.drawEyes.bind(renderer);
+        renderer.drawEyes = (target, eyes, frame) => {
+          resolutions.add(frame.resolution);
+          drawEyes(target, eyes, frame);
+        };
+        while (resolutions.size === 0) await new Promise(requestAnimationFrame);
+        return [...resolutions];
+      });
+      assert.deepEqual(drawn, [0.35]);
+    },
+    { init: emulateXr, before: kQuality('low') },
+  ));
+
+test('who has WebGPU has it again after a headset, and after one that could not be used', () =>
+  opened(
+    `index.html?gpu=webgpu#${view(kStart)}`,
+    async (page) => {
+      await drawsBy(page, 'webgpu');
+      await page.evaluate(() => (window.xr.layers = false));
+      await putOn(page);
+      await says(page, 'The headset cannot be used: no layer');
+      await drawsBy(page, 'webgpu');
+      await page.evaluate(() => (window.xr.layers = true));
+      await putOn(page);
+      await isOn(page);
+      assert.equal(await page.evaluate(() => window.splatbus.stage.renderer.api), 'webgl2');
+      await page.waitForFunction(() => new Set(window.xr.pixels(0)).size > 20);
+      await page.evaluate(() => window.splatbus.extras.immersion.end());
+      await drawsBy(page, 'webgpu');
+    },
+    { init: emulateXr },
+  ));
+
+test('a headset whose device is lost is said to be so, and can be put on again', () =>
+  opened(
+    `index.html?gpu=webgl2#${view(kStart)}`,
+    async (page) => {
+      await putOn(page);
+      await isOn(page);
+      await page.evaluate(() => window.splatbus.stage.renderer.dispose());
+      await says(page, 'The headset cannot be used: the graphics device was lost');
+      await page.waitForFunction(() => !window.splatbus.extras.immersion);
+      await drawsBy(page, 'webgl2');
+      await putOn(page);
+      await isOn(page);
+      await page.waitForFunction(() => new Set(window.xr.pixels(0)).size > 20);
+    },
+    { init: emulateXr },
+  ));
+
+test('of two that are started at once one draws, and the other is given back', () =>
+  opened(
+    `index.html?gpu=webgpu#${view(kStart)}`,
+    async (page) => {
+      await drawsBy(page, 'webgpu');
+      const left = await page.evaluate(async () => {
+        const { stage } = window.splatbus;
+        const devices = [];
+        const { requestDevice } = GPUAdapter.prototype;
+        GPUAdapter.prototype.requestDevice = async function (...given) {
+          devices.push(await requestDevice.apply(this, given));
+          return devices.at(-1);
+        };
+        const first = stage.start();
+        await Promise.all([stage.lend(), first]);
+        const lost = await Promise.all(devices.map(({ lost }) => Promise.race([lost.then(() => true), new Promise((resolve) => setTimeout(resolve, 1000, false))])));
+        return { lost, api: stage.renderer.api, canvases: stage.element.querySelectorAll('canvas').length };
+      });
+      assert.deepEqual(left, { lost: [true], api: 'webgl2', canvases: 1 });
     },
     { init: emulateXr },
   ));

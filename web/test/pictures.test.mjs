@@ -87,3 +87,17 @@ for (const api of ['webgl2', 'webgpu']) {
     test('nothing was said to be wrong', () => assert.deepEqual(errors, []));
   });
 }
+
+test('webgpu: harmonics that come late find room, or it is said that there is none', async () => {
+  const page = await browser.newPage();
+  try {
+    await page.goto(`${server.url}/picture.html`);
+    const { psnr, errors, buffers, lost } = await page.evaluate(() => window.tests.lateHarmonics());
+    assert.deepEqual(errors, []);
+    assert.ok(psnr >= kLeastPsnr, `PSNR ${psnr}`);
+    assert.equal(buffers, 0, 'there is room already');
+    assert.match(lost, /holds \d+ rows, and there are 1402000/);
+  } finally {
+    await page.close();
+  }
+});

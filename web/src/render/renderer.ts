@@ -58,6 +58,8 @@ export interface Renderer {
   readonly uploaded: Uploaded;
   /** Resolves, with a reason, when the device is gone: nothing is drawn any more, and another renderer is needed. */
   readonly lost: Promise<string>;
+  /** The same at this moment, before anybody can hear of it: what a canvas has then is no picture. */
+  readonly isLost: boolean;
 
   /** Its colors are those to keep as well. */
   apply(update: RowUpdate): void;
@@ -78,6 +80,8 @@ export interface Renderer {
 
 /** A renderer that WebXR can have draw. */
 export interface EyeRenderer extends Renderer {
+  /** Its context was made for a headset. */
+  readonly forHeadset: boolean;
   /** Its context, on the device that the headset hangs on. */
   forXr(): Promise<WebGL2RenderingContext>;
   /** All eyes in the order that stands; `frame.view` is not looked at. */

@@ -55,6 +55,13 @@ async function drawPoses(follower: Follower, renderer: Renderer, sorter: Sorter,
   return pictures;
 }
 
+/** A half float; of numbers below 65504 that are not negative. */
+function halfOf(value: number): number {
+  if (value < 2 ** -14) return Math.round(value * 2 ** 24);
+  const exponent = Math.floor(Math.log2(value));
+  return ((exponent + 15) << 10) | Math.round((value / 2 ** exponent - 1) * 1024);
+}
+
 async function pngOf(picture: Picture): Promise<string> {
   const canvas = new OffscreenCanvas(picture.width, picture.height);
   canvas.getContext('2d')!.putImageData(new ImageData(picture.rgba, picture.width, picture.height), 0, 0);
@@ -202,6 +209,53 @@ const tests = {
     const { rgba } = await renderer.capture(frameOf(scene, away));
     const background = kBackground.map((value) => Math.round(255 * srgb(value)));
     return rgba.filter((value, i) => i % 4 < 3 && Math.abs(value - background[i % 4]) > 1).length;
+  },
+
+  /**
+   * Harmonics that come when there is room for more rows than a device of the least limits could hold with them: how near to the
+   * reference, how many buffers further rows take, and what is said when there are too many.
+   */
+  async lateHarmonics(): Promise<{ psnr: number; errors: string[]; buffers: number; lost: string }> {
+    const { requestDevice } = GPUAdapter.prototype;
+    const { createBuffer } = GPUDevice.prototype;
+    let buffers = 0;
+    const errors: string[] = [];
+    GPUAdapter.prototype.requestDevice = async function () {
+      const device = await requestDevice.call(this);
+      device.addEventListener('uncapturederror', ({ error }) => errors.push(error.message));
+      return device;
+    };
+    GPUDevice.prototype.createBuffer = function (...given) {
+      ++buffers;
+      return createBuffer.apply(this, given);
+    };
+    try {
+      const renderer = await makeRenderer(document.createElement('canvas'), 'webgpu');
+      const scene = syntheticScene(2000, 7);
+      const view = testView(96, 1);
+      const at = (first: number): RowUpdate => ({ ...wholeUpdate(scene), rows: Uint32Array.from(scene.gaussians, (_, row) => first + row) });
+      renderer.apply(at(1_000_000)); // 32 bytes a row
+      renderer.apply(at(1_380_000));
+      await renderer.capture(frameOf(scene, view));
+      renderer.clear();
+      // Of degree 3, but for the constant band nothing: then colors are what they are without.
+      const words = 24;
+      const values = new Uint32Array(words * scene.gaussians.length);
+      scene.gaussians.forEach(({ color: [r, g, b] }, row) => values.set([halfOf(r) | (halfOf(g) << 16), halfOf(b)], words * row));
+      const radiant = (first: number): RowUpdate => ({ ...at(first), harmonics: { words, values } });
+      renderer.apply(radiant(1_380_000));
+      const near = psnr(rgbOf(await renderer.capture(frameOf(scene, view))), referencePicture(scene, view, kBackground));
+      const before = buffers;
+      for (let k = 0; k < 3; ++k) renderer.apply(radiant(1_390_000 + 1000 * k));
+      const further = buffers - before;
+      await renderer.finish();
+      const said = [...errors];
+      renderer.apply(radiant(1_400_000)); // 96 bytes each are more than 128 MiB
+      return { psnr: near, errors: said, buffers: further, lost: await renderer.lost };
+    } finally {
+      Object.assign(GPUAdapter.prototype, { requestDevice });
+      Object.assign(GPUDevice.prototype, { createBuffer });
+    }
   },
 
   /** PNGs of a recorded stream, as base64: after so many messages each, from each of the poses. */

@@ -7,6 +7,8 @@ import { Projection } from './projection';
 import { RowStore } from './row_store';
 import { kResolveFragment, kSplatFragment, kSplatVertex, kWholeVertex } from './shaders';
 
+const kContext = { alpha: false, antialias: false, depth: false, powerPreference: 'high-performance' } as const;
+
 interface Target {
   readonly texture: WebGLTexture;
   readonly framebuffer: WebGLFramebuffer;
@@ -26,9 +28,16 @@ export class WebGl2Renderer implements EyeRenderer {
   readonly #nothing: WebGLVertexArrayObject;
   #target: Target | null = null;
 
-  /** Throws GraphicsError where the browser has no WebGL2, or cannot blend into 16-bit floats. */
-  constructor(readonly canvas: HTMLCanvasElement) {
-    const gl = canvas.getContext('webgl2', { alpha: false, antialias: false, depth: false, powerPreference: 'high-performance' });
+  /**
+   * Throws GraphicsError where the browser has no WebGL2, or cannot blend into 16-bit floats. `forHeadset`: on the device that the
+   * headset hangs on; a context that is to come there later is lost where that is another one.
+   */
+  constructor(
+    readonly canvas: HTMLCanvasElement,
+    readonly forHeadset = false,
+  ) {
+    const asked: WebGLContextAttributes & { xrCompatible: boolean } = { ...kContext, xrCompatible: forHeadset };
+    const gl = canvas.getContext('webgl2', asked);
     if (!gl) throw new GraphicsError(texts.lacks.webgl2);
     const floats = gl.getExtension('EXT_color_buffer_float');
     if (!floats) throw new GraphicsError(texts.lacks.floats);
@@ -48,6 +57,10 @@ export class WebGl2Renderer implements EyeRenderer {
     this.#splats = new Program(gl, kSplatVertex, kSplatFragment);
     this.#resolve = new Program(gl, kWholeVertex, kResolveFragment);
     this.#nothing = gl.createVertexArray();
+  }
+
+  get isLost(): boolean {
+    return this.#gl.isContextLost();
   }
 
   get uploaded(): Uploaded {
@@ -88,6 +101,7 @@ export class WebGl2Renderer implements EyeRenderer {
     this.#drawTo(target, frame);
     const bottomUp = new Uint8Array(4 * width * height);
     gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, bottomUp);
+    if (gl.isContextLost()) throw new GraphicsError(texts.lacks.lost);
     gl.deleteFramebuffer(target);
     gl.deleteTexture(texture);
     const rgba = new Uint8ClampedArray(bottomUp.length);

@@ -2,6 +2,9 @@ import { kRecordWords, type ColorUpdate, type RowUpdate } from '../../records';
 import { kKeepColors, kScatterColors, kScatterHarmonics, kScatterRows } from './row_shaders';
 import { kThreads } from './shared_shaders';
 
+/** Rows that are uploaded at once: what they are uploaded to stays. */
+const kStagedRows = 65536;
+
 /** A pipeline of one shader that computes. */
 export function computePipeline(device: GPUDevice, label: string, code: string): GPUComputePipeline {
   const module = device.createShaderModule({ label, code });
@@ -41,7 +44,11 @@ export class RowBuffers {
   readonly #staging = new Map<string, GPUBuffer>();
   readonly #count: GPUBuffer;
 
-  constructor(private readonly device: GPUDevice) {
+  /** `fail` hears why rows cannot be held. */
+  constructor(
+    private readonly device: GPUDevice,
+    private readonly fail: (reason: string) => void,
+  ) {
     this.#scatterRows = computePipeline(device, 'scatter rows', kScatterRows);
     this.#scatterHarmonics = computePipeline(device, 'scatter harmonics', kScatterHarmonics);
     this.#scatterColors = computePipeline(device, 'scatter colors', kScatterColors);
@@ -51,36 +58,35 @@ export class RowBuffers {
     this.fades = this.#make(1);
     this.kept = this.#make(1);
     this.harmonics = this.#make(1);
-    this.#reserve(16384);
+    this.#reserve(16384, 0);
   }
 
   apply(update: RowUpdate): void {
     let last = -1;
     for (const row of update.rows) last = Math.max(last, row);
-    this.used = Math.max(this.used, last + 1);
-    this.#reserve(this.used);
-    this.#scatter(this.#scatterRows, update.rows.length, {
-      0: this.#stage('rows', update.rows),
-      1: this.#stage('records', update.records),
-      2: this.#stage('fades', update.fades),
+    if (last < 0) return;
+    const used = Math.max(this.used, last + 1);
+    if (!this.#reserve(used, update.harmonics?.words ?? 0)) return;
+    this.used = used;
+    for (let from = 0; from < update.rows.length; from += kStagedRows) this.#write(update, from, from + kStagedRows);
+    this.uploaded.rows += update.rows.length;
+  }
+
+  #write({ rows, records, fades, harmonics }: RowUpdate, from: number, to: number): void {
+    const some = rows.subarray(from, to);
+    const staged = this.#stage('rows', some);
+    this.#scatter(this.#scatterRows, some.length, {
+      0: staged,
+      1: this.#stage('records', records.subarray(kRecordWords * from, kRecordWords * to)),
+      2: this.#stage('fades', fades.subarray(from, to)),
       3: this.records,
       4: this.fades,
       6: this.kept,
     });
-    this.uploaded.rows += update.rows.length;
-    if (update.rows.length > 0) this.#applyHarmonics(update);
-  }
-
-  #applyHarmonics({ rows, harmonics }: RowUpdate): void {
-    const words = harmonics?.words ?? 0;
-    if (words !== this.harmonicWords) {
-      this.harmonicWords = words;
-      this.harmonics.destroy();
-      this.harmonics = this.#make(Math.max(words, 1));
-    }
     if (!harmonics) return;
-    const staged = { 0: this.#stage('rows', rows, false), 1: this.#stage('harmonics', harmonics.values), 3: this.harmonics };
-    this.#scatter(this.#scatterHarmonics, rows.length, staged, words);
+    const { words, values } = harmonics;
+    const buffers = { 0: staged, 1: this.#stage('harmonics', values.subarray(words * from, words * to)), 3: this.harmonics };
+    this.#scatter(this.#scatterHarmonics, some.length, buffers, words);
   }
 
   recolor(update: ColorUpdate): void {
@@ -115,7 +121,7 @@ export class RowBuffers {
     this.device.queue.submit([commands.finish()]);
   }
 
-  #stage(name: string, data: Uint32Array | Float32Array, isNew = true): GPUBuffer {
+  #stage(name: string, data: Uint32Array | Float32Array): GPUBuffer {
     let buffer = this.#staging.get(name);
     if (!buffer || buffer.size < data.byteLength) {
       buffer?.destroy();
@@ -123,7 +129,6 @@ export class RowBuffers {
       buffer = this.device.createBuffer({ label: name, size, usage: GPUBufferUsage.STORAGE | GPUBufferUsage.COPY_DST });
       this.#staging.set(name, buffer);
     }
-    if (!isNew) return buffer;
     this.device.queue.writeBuffer(buffer, 0, data as Uint32Array<ArrayBuffer>);
     this.uploaded.bytes += data.byteLength;
     return buffer;
@@ -134,19 +139,39 @@ export class RowBuffers {
     return this.device.createBuffer({ size: 4 * words * Math.max(this.capacity, 1), usage });
   }
 
-  #reserve(rows: number): void {
-    if (rows <= this.capacity) return;
-    const widest = Math.max(kRecordWords, this.harmonicWords);
-    const most = Math.floor(this.device.limits.maxStorageBufferBindingSize / (4 * widest));
-    this.capacity = Math.min(Math.max(rows, 2 * this.capacity), most);
-    const before = [this.records, this.fades, this.kept, this.harmonics];
-    this.records = this.#make(kRecordWords);
-    this.fades = this.#make(1);
-    this.kept = this.#make(1);
-    this.harmonics = this.#make(Math.max(this.harmonicWords, 1));
-    const commands = this.device.createCommandEncoder();
-    [this.records, this.fades, this.kept, this.harmonics].forEach((after, i) => commands.copyBufferToBuffer(before[i], 0, after, 0, before[i].size));
-    this.device.queue.submit([commands.finish()]);
-    for (const buffer of before) buffer.destroy();
+  /** Room for so many rows, of so many words of harmonics each; false where the device cannot have it. */
+  #reserve(rows: number, words: number): boolean {
+    if (rows <= this.capacity && words === this.harmonicWords) return true;
+    // Whatever is kept by the row is bound whole. Of what DepthOrder keeps nothing is wider than a record.
+    const { maxStorageBufferBindingSize, maxBufferSize } = this.device.limits;
+    const most = Math.floor(Math.min(maxStorageBufferBindingSize, maxBufferSize) / (4 * Math.max(kRecordWords, words)));
+    if (rows > most) {
+      this.fail(`the device holds ${most} rows, and there are ${rows}`);
+      return false;
+    }
+    const capacity = Math.min(rows > this.capacity ? Math.max(rows, 2 * this.capacity) : this.capacity, most);
+    const moves = capacity !== this.capacity;
+    const sameKind = words === this.harmonicWords;
+    this.capacity = capacity;
+    this.harmonicWords = words;
+    if (moves) {
+      this.records = this.#moved(this.records, kRecordWords);
+      this.fades = this.#moved(this.fades, 1);
+      this.kept = this.#moved(this.kept, 1);
+    }
+    if (moves || !sameKind) this.harmonics = this.#moved(this.harmonics, Math.max(words, 1), sameKind);
+    return true;
+  }
+
+  /** A buffer of the new capacity in place of this one, with what was in it. */
+  #moved(before: GPUBuffer, words: number, keep = true): GPUBuffer {
+    const after = this.#make(words);
+    if (keep) {
+      const commands = this.device.createCommandEncoder();
+      commands.copyBufferToBuffer(before, 0, after, 0, Math.min(before.size, after.size));
+      this.device.queue.submit([commands.finish()]);
+    }
+    before.destroy();
+    return after;
   }
 }

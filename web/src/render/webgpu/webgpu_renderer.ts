@@ -8,11 +8,15 @@ import { bindGroup, RowBuffers } from './row_buffers';
 import { kResolve, kSplats } from './triangle_shaders';
 
 const kViewBytes = 80;
+const kErrors = ['validation', 'out-of-memory', 'internal'] as const;
 
 export class WebGpuRenderer implements Renderer {
   readonly api = 'webgpu';
   readonly sortsItself = true;
   readonly lost: Promise<string>;
+  /** The device is there, and cannot draw: out of memory, or not able to do what is asked. Then `lost` resolves as well. */
+  readonly failed: Promise<string>;
+  isLost = false;
   readonly #rows: RowBuffers;
   readonly #pipelines: DepthPipelines;
   readonly #view: GPUBuffer;
@@ -43,10 +47,17 @@ export class WebGpuRenderer implements Renderer {
     private readonly device: GPUDevice,
     private readonly context: GPUCanvasContext,
   ) {
-    this.lost = device.lost.then(({ message }) => `the WebGPU device was lost: ${message}`);
-    device.onuncapturederror = ({ error }) => console.error(error.message);
+    let fail: (reason: string) => void = () => {};
+    this.failed = new Promise((resolve) => (fail = resolve));
+    // Nothing here makes errors by intent, and what WebGPU refuses it leaves out: the picture would be black, or stand.
+    device.onuncapturederror = ({ error }) => fail(error.message);
+    const gone = device.lost.then(({ message }) => `the WebGPU device was lost: ${message}`);
+    this.lost = Promise.race([gone, this.failed]).then((reason) => {
+      this.isLost = true;
+      return reason;
+    });
     context.configure({ device, format: navigator.gpu.getPreferredCanvasFormat(), alphaMode: 'opaque' });
-    this.#rows = new RowBuffers(device);
+    this.#rows = new RowBuffers(device, fail);
     this.#pipelines = new DepthPipelines(device);
     this.#view = device.createBuffer({ size: kViewBytes, usage: GPUBufferUsage.UNIFORM | GPUBufferUsage.COPY_DST });
     this.#objects = this.#makeObjects(64);
@@ -88,6 +99,8 @@ export class WebGpuRenderer implements Renderer {
 
   async capture(frame: Frame): Promise<Picture> {
     const { width, height } = frame.view;
+    // A picture that cannot be had is no reason to end the one that is shown.
+    for (const kind of kErrors) this.device.pushErrorScope(kind);
     const texture = this.device.createTexture({
       size: [width, height],
       format: 'rgba8unorm',
@@ -99,12 +112,21 @@ export class WebGpuRenderer implements Renderer {
     this.#encode(commands, frame, texture);
     commands.copyTextureToBuffer({ texture }, { buffer, bytesPerRow }, [width, height]);
     this.device.queue.submit([commands.finish()]);
-    await buffer.mapAsync(GPUMapMode.READ);
-    const mapped = new Uint8Array(buffer.getMappedRange());
+    const errors = await Promise.all(kErrors.map(() => this.device.popErrorScope()));
     const rgba = new Uint8ClampedArray(4 * width * height);
-    for (let y = 0; y < height; ++y) rgba.set(mapped.subarray(y * bytesPerRow, y * bytesPerRow + 4 * width), 4 * width * y);
-    buffer.destroy();
-    texture.destroy();
+    try {
+      const error = errors.find((one) => one !== null);
+      if (error) throw new GraphicsError(error.message);
+      await buffer.mapAsync(GPUMapMode.READ);
+      const mapped = new Uint8Array(buffer.getMappedRange());
+      for (let y = 0; y < height; ++y) rgba.set(mapped.subarray(y * bytesPerRow, y * bytesPerRow + 4 * width), 4 * width * y);
+    } catch (error) {
+      this.#dropTarget(); // who made it may have failed unheard
+      throw error;
+    } finally {
+      buffer.destroy();
+      texture.destroy();
+    }
     return { width, height, rgba };
   }
 
@@ -201,12 +223,17 @@ export class WebGpuRenderer implements Renderer {
   #targetOf(frame: Frame): GPUTexture {
     const { width, height } = targetSize(frame);
     if (this.#target?.width === width && this.#target.height === height) return this.#target;
-    this.#target?.destroy();
+    this.#dropTarget();
     this.#target = this.device.createTexture({
       size: [width, height],
       format: 'rgba16float',
       usage: GPUTextureUsage.RENDER_ATTACHMENT | GPUTextureUsage.TEXTURE_BINDING,
     });
     return this.#target;
+  }
+
+  #dropTarget(): void {
+    this.#target?.destroy();
+    this.#target = null;
   }
 }
