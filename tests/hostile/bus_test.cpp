@@ -8,10 +8,10 @@
 
 #include "../unit/bus/bus_fixture.h"
 #include "../unit/bus/fake_broker.h"
-#include "../unit/bus/slab_helpers.h"
 #include "budgets.h"
 #include "bus/clock.h"
 #include "bus/error.h"
+#include "many_bytes.h"
 #include "raw_zmtp.h"
 
 namespace splatbus::hostile {
@@ -137,30 +137,6 @@ TEST_F(HostileBus, SubscriptionsWithoutEndAreEnded) {
   ASSERT_TRUE(other.send_frame_head(std::size_t{1} << 29, false));
   EXPECT_TRUE(other.closed_within(2s));
 }
-
-/// A publisher of 16 MiB of slab, 50 times a second, as a model's.
-class ManyBytes {
- public:
-  static constexpr std::size_t kBytes = 16 * kMiB;
-  ManyBytes(const std::shared_ptr<bus::Context>& context, const std::string& topic)
-      : publisher_(context, topic), slab_(context->create_slab("many", 2, kBytes)) {
-    thread_ = std::jthread([this](const std::stop_token& stop) {
-      for (std::uint64_t i = 1; !stop.stop_requested(); ++i) {
-        const auto slot = slab_->next_slot();
-        const auto generation = slab_->end_write(slot);
-        const bus::OutgoingTensor tensor{
-            .name = "values", .shape = {kBytes / 4}, .span = slab_->span(slot, 0, kBytes, generation)};
-        publish_number(publisher_, i, true, "", {tensor});
-        std::this_thread::sleep_for(20ms);
-      }
-    });
-  }
-
- private:
-  NumberPublisher publisher_;
-  std::shared_ptr<bus::Slab> slab_;
-  std::jthread thread_;
-};
 
 TEST_F(HostileBus, AReaderThatReadsNothingCostsABoundedQueue) {
   broker_.reset();

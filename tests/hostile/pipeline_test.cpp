@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <filesystem>
-#include <functional>
 #include <thread>
 #include <vector>
 
@@ -13,8 +12,7 @@
 #include "budgets.h"
 #include "bus/clock.h"
 #include "raw_zmtp.h"
-#include "stream/packets.h"
-#include "wire/convert.h"
+#include "stream_words.h"
 #include "wire/system_generated.h"
 
 namespace splatbus::hostile {
@@ -25,31 +23,6 @@ using namespace std::chrono_literals;
 
 constexpr auto kAttack = 2s;
 constexpr std::size_t kGrowth = 64 * kMiB;
-
-std::string packet(wire::Body body,
-                   const std::function<flatbuffers::Offset<void>(flatbuffers::FlatBufferBuilder&)>& build) {
-  const auto encoded =
-      stream::PacketWriter("hostile", 1).write(1, 0, body, [&](auto& builder) { return build(builder); });
-  return {encoded.packet.begin(), encoded.packet.end()};
-}
-std::string hello() {
-  return packet(wire::Body::Hello, [](auto& b) { return wire::CreateHelloDirect(b, "x").Union(); });
-}
-std::string bye() {
-  return packet(wire::Body::Bye, [](auto& b) { return wire::CreateByeDirect(b, "x").Union(); });
-}
-std::string pose() {
-  return packet(wire::Body::Pose, [](auto& b) {
-    const wire::Camera camera = to_wire(Camera());
-    return wire::CreatePose(b, &camera).Union();
-  });
-}
-std::string probe() {
-  return packet(wire::Body::Probe, [](auto& b) {
-    const wire::Camera camera = to_wire(Camera());
-    return wire::CreateProbe(b, 1, &camera).Union();
-  });
-}
 
 /// Says hello until it is welcomed, and a pose each 100 ms; remembers the longest time in which nothing came.
 class GoodViewer {
@@ -62,7 +35,7 @@ class GoodViewer {
           socket.connect(endpoint);
           std::int64_t heard_ns = bus::now_ns();
           while (!stop.stop_requested()) {
-            const std::string word = heard_ == 0 ? hello() : pose();
+            const std::string word = heard_ == 0 ? hello() : pose(Camera());
             (void)socket.send(zmq::buffer(word), zmq::send_flags::dontwait);
             zmq_pollitem_t item{socket.handle(), 0, ZMQ_POLLIN, 0};
             zmq_poll(&item, 1, 100);
@@ -137,8 +110,8 @@ class HostilePipeline : public testing::Test {
 };
 
 TEST_F(HostilePipeline, FloodsOfPosesProbesHellosAndByes) {
-  flood(stream_endpoint(), "DEALER", {hello(), pose()});
-  flood(stream_endpoint(), "DEALER", {hello(), probe()});
+  flood(stream_endpoint(), "DEALER", {hello(), pose(Camera())});
+  flood(stream_endpoint(), "DEALER", {hello(), probe(1, Camera())});
   flood(stream_endpoint(), "DEALER", {hello(), bye()});
   expect_unharmed();
 }
