@@ -35,7 +35,7 @@ export class Extras {
     private readonly stage: Stage,
     private readonly rig: Rig,
     private readonly link: StreamLink,
-    private readonly token: string | null,
+    private readonly access: { readonly token: string | null },
     private readonly page: PageActions,
   ) {
     this.comparison = new Comparison({
@@ -56,7 +56,7 @@ export class Extras {
   }
 
   async compare(): Promise<void> {
-    const here = this.comparison.on ? null : await rightsHere(this.token);
+    const here = this.comparison.on ? null : await rightsHere(this.access.token);
     if (here === 'silent') this.page.notice(texts.serverSilent);
     else if (here === 'refused' || (here && !here.rights.split(',').includes('probe'))) this.page.notice(texts.compareForbidden);
     else this.comparison.toggle();
@@ -64,7 +64,7 @@ export class Extras {
 
   async download(kind: ModelFile): Promise<void> {
     this.page.notice(texts.downloading);
-    if (!(await downloadModel(kind, this.token))) this.page.notice(texts.downloadFailed);
+    if (!(await downloadModel(kind, this.access.token))) this.page.notice(texts.downloadFailed);
   }
 
   async immerse(): Promise<void> {

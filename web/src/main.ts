@@ -1,4 +1,5 @@
-import { addressWith, readAddress } from './camera/address';
+import { addressWith, readAddress, type Address } from './camera/address';
+import type { Pose } from './camera/rig';
 import type { Api } from './render/make_renderer';
 import { texts } from './texts';
 import { loadSettings } from './ui/settings';
@@ -29,12 +30,17 @@ function flightSeconds(options: URLSearchParams): number {
   return seconds > 0 ? seconds : kFlightS;
 }
 
-const url = new URL(location.href);
-const address = readAddress(url);
-if (address.token !== null) history.replaceState(null, '', addressWith(url, null));
+/** What the address says, which says no token any more then. */
+function takeAddress(): Address {
+  const url = new URL(location.href);
+  const address = readAddress(url);
+  if (address.token !== null) history.replaceState(null, '', addressWith(url, null));
+  return address;
+}
 
-const socket = new URL('stream', url);
-socket.protocol = url.protocol === 'https:' ? 'wss:' : 'ws:';
+const address = takeAddress();
+const socket = new URL('stream', location.href);
+socket.protocol = location.protocol === 'https:' ? 'wss:' : 'ws:';
 socket.search = '';
 socket.hash = '';
 
@@ -46,14 +52,18 @@ const viewer = new Viewer(document.body, {
   settings: loadSettings(),
   bench: flightSeconds(address.options),
 });
-const show = (): void => {
-  const { pose } = readAddress(new URL(location.href));
+const show = (pose: Pose | null): void => {
   if (!pose) return;
   viewer.rig.jump(pose);
   viewer.keepView();
 };
-show();
-addEventListener('hashchange', show);
+show(address.pose);
+// As when somebody pastes the link that they were given into the tab that asks for it.
+addEventListener('hashchange', () => {
+  const { token, pose } = takeAddress();
+  if (token !== null) viewer.useToken(keptToken(token));
+  show(pose);
+});
 viewer.start();
 // For whoever measures or tests the page.
 Object.assign(window, { splatbus: viewer });

@@ -28,7 +28,7 @@ export class Status {
   constructor(
     private readonly stage: Stage,
     private readonly pace: Pace,
-    private readonly token: string | null,
+    private readonly access: { readonly token: string | null },
     private readonly settings: Settings,
   ) {}
 
@@ -105,8 +105,8 @@ export class Status {
 
   /** A WebSocket does not say why it was not opened. */
   async #askWhy(): Promise<void> {
-    const here = await rightsHere(this.token);
-    const refused = this.token ? texts.tokenRefused : texts.tokenMissing;
+    const here = await rightsHere(this.access.token);
+    const refused = this.access.token ? texts.tokenRefused : texts.tokenMissing;
     this.#refused = here === 'refused' ? refused : '';
   }
 }

@@ -12,7 +12,7 @@ import type { Frame } from './render/renderer';
 import { Stage } from './stage';
 import { Status } from './status';
 import { Arrival } from './stream/arrival';
-import type { ConnectionState, FromStreamWorker, StreamFigures } from './stream/messages';
+import type { Budget, ConnectionState, FromStreamWorker, StreamFigures } from './stream/messages';
 import { StreamLink } from './stream/stream_link';
 import { texts } from './texts';
 import { make, button } from './ui/dom';
@@ -39,6 +39,8 @@ export class Viewer {
   readonly rig = new Rig();
   readonly stage: Stage;
   readonly link: StreamLink;
+  /** How the stream is got; the token is of who looks now. */
+  readonly #access: { readonly socket: string; token: string | null; budget: Budget };
   readonly #controls: Controls;
   readonly #status: Status;
   readonly #menu: Menu;
@@ -60,7 +62,7 @@ export class Viewer {
   #redraw = true;
   readonly #framing = new Framing();
   readonly #arrival = new Arrival();
-  readonly #bench: BenchRun;
+  #bench: BenchRun;
   readonly extras: Extras;
   /** Pictures drawn since the page was opened. */
   frames = 0;
@@ -73,7 +75,8 @@ export class Viewer {
   ) {
     this.#bench = new BenchRun(options.bench, options.token);
     this.rig.smooth = !matchMedia('(prefers-reduced-motion: reduce)').matches;
-    this.link = new StreamLink({ socket: options.socket, token: options.token, budget: options.settings.budget });
+    this.#access = { socket: options.socket, token: options.token, budget: options.settings.budget };
+    this.link = new StreamLink(this.#access);
     this.stage = new Stage(
       options.api,
       (port, shown) => this.link.send({ kind: 'attach', port, shown }, [port]),
@@ -83,8 +86,8 @@ export class Viewer {
         this.#redraw = true;
       },
     );
-    this.#status = new Status(this.stage, this.#pace, options.token, options.settings);
-    this.extras = new Extras(this.stage, this.rig, this.link, options.token, {
+    this.#status = new Status(this.stage, this.#pace, this.#access, options.settings);
+    this.extras = new Extras(this.stage, this.rig, this.link, this.#access, {
       view: () => this.#view(),
       frame: (shown, resolution, nowMs) => this.#frame(shown, resolution, nowMs),
       announce: (shown, nowMs) => this.#announce(shown, nowMs),
@@ -144,6 +147,13 @@ export class Viewer {
   /** A view came with the address: nothing else is shown of its own accord. */
   keepView(): void {
     this.#framing.end();
+  }
+
+  /** Somebody has another one now: it is connected anew. */
+  useToken(token: string | null): void {
+    this.#access.token = token;
+    if (this.#bench.asked) this.#bench = new BenchRun(this.options.bench, token);
+    this.link.start();
   }
 
   frameAll(): void {

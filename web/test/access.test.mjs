@@ -133,6 +133,20 @@ for (const [who, suffix, text] of [
   });
 }
 
+test('who has no token may paste the link that has one into the same tab', () =>
+  opened(urls.guarded, async (page) => {
+    await says(page, 'asks for a token');
+    await page.evaluate(() => (window.sameDocument = true));
+    await page.goto(`${urls.guarded}/#token=${kViewer}`);
+    await showsTheModel(page);
+    assert.ok(await page.evaluate(() => window.sameDocument), 'as an address bar does with a link to the same page');
+    assert.ok(!page.url().includes(kViewer), page.url());
+    await page.keyboard.press('m');
+    const download = page.waitForEvent('download');
+    await page.getByRole('button', { name: '.ply' }).click();
+    assert.equal(readFileSync(await (await download).path()).subarray(0, 4).toString(), 'ply\n');
+  }));
+
 test('a token that is taken away ends what its page gets, until it is given back; the picture stands', () =>
   opened(`${urls.guarded}/#token=${kViewer}`, async (page) => {
     await showsTheModel(page);

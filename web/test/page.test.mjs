@@ -23,6 +23,23 @@ test('the address has the view and not the token, and shows the same again', () 
     assert.equal(await page.evaluate(() => window.splatbus.link.options.token), 'abc');
   }));
 
+test('a token that comes into an open tab is taken, and out of the address', () =>
+  opened(kPage, async (page) => {
+    await page.evaluate(() => {
+      window.sameDocument = true;
+      location.hash = 'token=xyz';
+    });
+    await page.waitForFunction(() => window.splatbus.link.options.token === 'xyz');
+    assert.ok(!page.url().includes('xyz'), page.url());
+    assert.ok(await page.evaluate(() => window.sameDocument));
+    assert.deepEqual(await goal(page), kStart, 'it says no view');
+    // A worker that has started anew brings all of the scene again.
+    await page.waitForFunction(() => window.splatbus.stage.uploadedRows === 6000);
+    await page.reload();
+    await page.waitForFunction(() => window.splatbus?.stage.standing);
+    assert.equal(await page.evaluate(() => window.splatbus.link.options.token), 'xyz');
+  }));
+
 test('after the first picture only rows that change are uploaded', () =>
   opened(kPage, async (page) => {
     const uploaded = () => page.evaluate(() => window.splatbus.stage.uploadedRows);
