@@ -184,6 +184,34 @@ test('menu by keys alone: quality, background, budget; they are kept', () =>
     assert.equal(await page.evaluate(() => window.splatbus.options.settings.quality), 'low');
   }));
 
+test('nothing to be read or touched is under a notch', () =>
+  opened(kPage, async (page) => {
+    const session = await page.context().newCDPSession(page);
+    await page.keyboard.press('m');
+    await page.keyboard.press('i');
+    const edges = () =>
+      page.evaluate(() =>
+        Object.fromEntries(
+          ['.bar button', '.menu', '.figures', '.stick'].map((name) => {
+            const element = document.querySelector(name);
+            element.hidden = false;
+            const { left, top, right, bottom } = element.getBoundingClientRect();
+            return [name, { left, top, right: innerWidth - right, bottom: innerHeight - bottom }];
+          }),
+        ),
+      );
+    const before = await edges();
+    await session.send('Emulation.setSafeAreaInsetsOverride', { insets: { top: 10, left: 20, bottom: 30, right: 40 } });
+    await page.waitForFunction((right) => innerWidth - document.querySelector('.bar button').getBoundingClientRect().right > right, before['.bar button'].right);
+    const after = await edges();
+    const further = (name, side) => after[name][side] - before[name][side];
+    assert.deepEqual([further('.bar button', 'right'), further('.bar button', 'top')], [40, 10]);
+    assert.deepEqual([further('.menu', 'right'), further('.menu', 'top')], [40, 10]);
+    assert.deepEqual([further('.figures', 'left'), further('.figures', 'top')], [20, 10]);
+    assert.deepEqual([further('.stick', 'left'), further('.stick', 'bottom')], [20, 30]);
+    assert.ok(after['.menu'].left >= 20 && after['.menu'].bottom >= 30 - 1e-6, JSON.stringify(after['.menu']));
+  }));
+
 test('a rate is asked for in the menu, at once and for the next time', () =>
   opened(kPage, async (page) => {
     await page.evaluate(() => (new BroadcastChannel('asked').onmessage = ({ data }) => (window.asked ??= []).push(data)));
