@@ -30,6 +30,8 @@ export class Extras {
   immersion: Immersion | null = null;
   /** A headset has been asked for, or is on. */
   #immersed = false;
+  /** Whether it may compare. */
+  #asking = false;
 
   constructor(
     private readonly stage: Stage,
@@ -56,7 +58,10 @@ export class Extras {
   }
 
   async compare(): Promise<void> {
+    if (this.#asking) return; // it comes on as soon as that is answered, and not on and off
+    this.#asking = true;
     const here = this.comparison.on ? null : await rightsHere(this.access.token);
+    this.#asking = false;
     if (here === 'silent') this.page.notice(texts.serverSilent);
     else if (here === 'refused' || (here && !here.rights.split(',').includes('probe'))) this.page.notice(texts.compareForbidden);
     else this.comparison.toggle();
@@ -80,7 +85,7 @@ export class Extras {
       this.immersion = await Immersion.start(renderer, {
         pose: () => this.rig.shown,
         steer: (motion, turn, seconds) => {
-          this.rig.fly(motion, seconds);
+          this.rig.fly({ ...motion, level: true }, seconds);
           this.rig.look(turn * kTurnSpeed * seconds, 0);
           this.rig.jump(this.rig.goal); // a head is not to be moved on of its own accord
         },
@@ -132,6 +137,7 @@ export class Extras {
   }
 
   toggleFullScreen(): void {
+    if (!document.fullscreenEnabled) return this.page.notice(texts.noFullScreen); // a phone's browser may have it for films alone
     void (document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen()).catch(() => {});
   }
 }

@@ -4,13 +4,13 @@ import type { Stage } from './stage';
 import type { ConnectionState, FromStreamWorker, StreamFigures } from './stream/messages';
 import { texts } from './texts';
 import { Notice, Overlay } from './ui/overlay';
-import type { Settings } from './ui/settings';
+import { keepSettings, type Settings } from './ui/settings';
 
 const kEveryMs = 250;
 
 /** What the page says of the stream and of its pictures: figures, and one line of what a person should know. */
 export class Status {
-  readonly overlay = new Overlay();
+  readonly overlay: Overlay;
   readonly notice = new Notice();
   readonly #rate = new Rate();
   /** The last that the stream's worker said. */
@@ -30,7 +30,14 @@ export class Status {
     private readonly pace: Pace,
     private readonly access: { readonly token: string | null },
     private readonly settings: Settings,
-  ) {}
+  ) {
+    this.overlay = new Overlay(settings.figures);
+  }
+
+  toggleFigures(): void {
+    this.settings.figures = this.overlay.toggle();
+    keepSettings(this.settings);
+  }
 
   hear(message: FromStreamWorker): void {
     if (message.kind === 'figures') {

@@ -1,8 +1,9 @@
 import { KeptAddress } from './camera/address';
 import { Controls } from './camera/controls';
 import { Player } from './camera/player';
-import { Rig, viewOf } from './camera/rig';
+import { Rig, viewOf, type Pose } from './camera/rig';
 import { BenchRun } from './bench';
+import type { ModelFile } from './download';
 import { Extras } from './extras';
 import { Framing } from './framing';
 import { poseFloats, type Vec3, type View } from './math';
@@ -17,7 +18,8 @@ import { StreamLink } from './stream/stream_link';
 import { texts } from './texts';
 import { make, button } from './ui/dom';
 import { Menu } from './ui/menu';
-import { keepSettings, kBackgrounds, kResolutions, type Settings } from './ui/settings';
+import { keepSettings, kBackgrounds, kResolutions, kSpeeds, type Settings } from './ui/settings';
+import { takeShortcuts } from './ui/shortcuts';
 import { canImmerse } from './xr/immersion';
 
 const kPoseEveryMs = 50;
@@ -62,6 +64,8 @@ export class Viewer {
   #redraw = true;
   readonly #framing = new Framing();
   readonly #arrival = new Arrival();
+  /** What the page was opened with, or showed first. */
+  #firstView: Pose | null = null;
   #bench: BenchRun;
   readonly extras: Extras;
   /** Pictures drawn since the page was opened. */
@@ -75,6 +79,7 @@ export class Viewer {
   ) {
     this.#bench = new BenchRun(options.bench, options.token);
     this.rig.smooth = !matchMedia('(prefers-reduced-motion: reduce)').matches;
+    this.rig.speed = kSpeeds[options.settings.speed];
     this.#access = { socket: options.socket, token: options.token, budget: options.settings.budget };
     this.link = new StreamLink(this.#access);
     this.stage = new Stage(
@@ -102,22 +107,29 @@ export class Viewer {
     this.stage.element.setAttribute('aria-label', texts.picture);
     this.#controls = new Controls(this.stage.element, this.rig);
     this.#controls.onFrameAll = () => this.frameAll();
-    this.#menu = new Menu(options.settings, {
+    const actions = {
       frameAll: () => this.frameAll(),
+      resetView: () => this.#resetView(),
       fullScreen: () => this.extras.toggleFullScreen(),
       snapshot: () => void this.extras.saveSnapshot(),
       share: () => void this.extras.share(),
-      figures: () => this.#status.overlay.toggle(),
+      figures: () => this.#status.toggleFigures(),
       compare: () => this.#compare(),
       follow: () => this.#follow(),
       immerse: () => void this.extras.immerse(),
-      download: (kind) => void this.extras.download(kind),
+      download: (kind: ModelFile) => void this.extras.download(kind),
       changed: () => this.#settingsChanged(),
+    };
+    this.#menu = new Menu(options.settings, actions);
+    takeShortcuts({
+      ...actions,
+      steer: (event) => this.#controls.keys.press(event),
+      menu: () => this.#menu.toggle(),
+      escape: () => this.#escape(),
     });
     const bar = make('div', { class: 'bar' }, button(texts.menu, () => this.#menu.toggle()));
     void canImmerse().then((can) => can && this.#menu.offerImmersion());
     root.append(this.stage.element, this.extras.comparison.element, this.#status.overlay.element, this.#controls.stick.element, bar, this.#menu.element, this.#status.notice.element);
-    addEventListener('keydown', (event) => this.#key(event));
     this.link.onMessage = (message) => this.#hear(message);
     this.link.onStarted = () => this.stage.feed();
     addEventListener('pagehide', () => this.link.leave());
@@ -144,9 +156,10 @@ export class Viewer {
     requestAnimationFrame(tick);
   }
 
-  /** A view came with the address: nothing else is shown of its own accord. */
+  /** The camera is where the address says: nothing else is shown of its own accord. */
   keepView(): void {
     this.#framing.end();
+    this.#firstView = this.rig.goal;
   }
 
   /** Somebody has another one now: it is connected anew. */
@@ -158,6 +171,11 @@ export class Viewer {
 
   frameAll(): void {
     this.link.send({ kind: 'bounds' });
+  }
+
+  #resetView(): void {
+    if (this.#firstView) this.rig.moveStraight(this.#firstView);
+    else this.frameAll();
   }
 
   #tick(nowMs: number): void {
@@ -277,6 +295,7 @@ export class Viewer {
     const sphere = this.#framing.advance(this.rig.smooth ? seconds : Infinity);
     if (!sphere) return;
     this.#frameSphere(sphere.centre, sphere.radius);
+    this.#firstView = this.rig.goal;
   }
 
   #frameSphere(centre: Vec3, radius: number): void {
@@ -300,6 +319,7 @@ export class Viewer {
 
   #settingsChanged(): void {
     keepSettings(this.options.settings);
+    this.rig.speed = kSpeeds[this.options.settings.speed];
     this.link.setBudget(this.options.settings.budget);
     this.#redraw = true;
   }
@@ -309,24 +329,8 @@ export class Viewer {
     void this.extras.compare();
   }
 
-  #key(event: KeyboardEvent): void {
-    if (event.code === 'Escape') this.#menu.element.close();
-    if (event.ctrlKey || event.metaKey || event.altKey || event.target instanceof HTMLSelectElement) return;
-    if (event.target instanceof HTMLInputElement && event.code.startsWith('Arrow')) return;
-    if (this.#controls.keys.press(event.code)) {
-      event.preventDefault();
-      return;
-    }
-    if (event.repeat) return;
-    const actions: Readonly<Record<string, () => void>> = {
-      KeyC: () => this.#compare(),
-      KeyF: () => this.frameAll(),
-      KeyG: () => this.#follow(),
-      KeyI: () => this.#status.overlay.toggle(),
-      KeyM: () => this.#menu.toggle(),
-      KeyP: () => void this.extras.saveSnapshot(),
-      KeyV: () => this.extras.toggleFullScreen(),
-    };
-    actions[event.code]?.();
+  #escape(): void {
+    if (this.#menu.element.open) this.#menu.element.close();
+    else if (this.extras.comparison.on) this.extras.comparison.toggle();
   }
 }

@@ -1,7 +1,7 @@
 // A headset, emulated: both eyes of one sort.
 import assert from 'node:assert/strict';
 import { test } from 'node:test';
-import { kStart, opened, view } from './opened_page.mjs';
+import { goal, kStart, opened, view } from './opened_page.mjs';
 
 /** A headset that is none: two eyes beside one another in a texture, 64 mm apart, that looks where the test says. */
 function emulateXr() {
@@ -134,6 +134,11 @@ test('a headset is given both eyes of one sort, and the page goes on when it is 
       // A head that turns about turns its back on the scene.
       await page.evaluate(() => (window.xr.yaw = Math.PI));
       await page.waitForFunction(() => new Set(window.xr.pixels(0)).size < 8);
+      // What leans down is the camera that the page had, and no head: a stick moves on the level.
+      await page.evaluate(() => (window.xr.session.inputSources = [{ handedness: 'left', gamepad: { axes: [0, 0, 0, -1], buttons: [] } }]));
+      await page.waitForFunction(() => Math.hypot(window.splatbus.rig.goal.target[0], window.splatbus.rig.goal.target[2]) > 0.2);
+      assert.ok(Math.abs((await goal(page)).target[1]) < 1e-9);
+      await page.evaluate(() => (window.xr.session.inputSources = []));
       const before = await page.evaluate(() => window.splatbus.frames);
       await page.evaluate(() => window.splatbus.extras.immersion.end());
       await page.waitForFunction(() => !window.splatbus.extras.immersion);

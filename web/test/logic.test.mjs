@@ -218,6 +218,25 @@ test('the camera comes to its goal without a jump, in the same time at any rate 
   assert.deepEqual([still.shown.yaw, still.shown.distance], [1, 2]);
 });
 
+test('a camera flies to where it looks, and leaves what is near at a metre a second', () => {
+  const rig = new logic.Rig();
+  rig.jump({ target: [0, 0, 0], yaw: 1, pitch: 0.5, distance: 5 });
+  const motion = { right: 0, up: 0, ahead: 1, fast: false };
+  const near = (a, b) => a.forEach((value, k) => assert.ok(Math.abs(value - b[k]) < 1e-9, `${a} is not ${b}`));
+  const { viewFromWorld } = logic.viewOf(rig.goal, 640, 480);
+  const ahead = [...viewFromWorld.subarray(8, 11)];
+  rig.fly(motion, 0.5);
+  near(rig.goal.target, ahead.map((value) => 2 * value)); // 0.8 times the distance a second
+  rig.fly({ ...motion, fast: true }, 0.5);
+  near(rig.goal.target, ahead.map((value) => 10 * value));
+  rig.jump({ target: [0, 0, 0], yaw: 1, pitch: 0.5, distance: 0.05 });
+  rig.fly(motion, 0.5);
+  near(rig.goal.target, ahead.map((value) => 0.5 * value));
+  rig.jump({ target: [0, 0, 0], yaw: 1, pitch: 0.5, distance: 5 });
+  rig.fly({ ...motion, level: true }, 0.5);
+  near(rig.goal.target, [-2 * Math.cos(1), 0, -2 * Math.sin(1)]);
+});
+
 test('a driver that never answers is an error, and what it gives later is handed back', async () => {
   assert.equal(await logic.inTime(Promise.resolve(7), () => assert.fail(), 20), 7);
   await assert.rejects(logic.inTime(Promise.reject(new Error('lost')), () => assert.fail(), 20), /lost/);

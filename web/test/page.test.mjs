@@ -184,6 +184,42 @@ test('menu by keys alone: quality, background, budget; they are kept', () =>
     assert.equal(await page.evaluate(() => window.splatbus.options.settings.quality), 'low');
   }));
 
+test('figures that somebody hides or shows are so the next time', () =>
+  opened(kPage, async (page) => {
+    const hidden = () => page.evaluate(() => document.querySelector('.figures').hidden);
+    const again = async () => {
+      await page.reload();
+      await page.waitForFunction(() => window.splatbus?.stage.standing);
+      return hidden();
+    };
+    assert.equal(await hidden(), true, 'a small screen has none to begin with');
+    await page.keyboard.press('i');
+    assert.equal(await again(), false);
+    await page.keyboard.press('m');
+    await page.getByRole('button', { name: 'Figures' }).click();
+    assert.equal(await again(), true);
+  }));
+
+test('how fast one flies is chosen in the menu and kept', () =>
+  opened(kPage, async (page) => {
+    /** Metres that a second of W is. */
+    const metres = () =>
+      page.evaluate(() => {
+        const { rig } = window.splatbus;
+        const before = rig.goal.target;
+        rig.fly({ right: 0, up: 0, ahead: 1, fast: false }, 1);
+        return Math.hypot(...rig.goal.target.map((value, k) => value - before[k]));
+      });
+    const usual = await metres();
+    assert.ok(Math.abs(usual - 0.8 * kStart.distance) < 1e-6, `${usual}`);
+    await page.keyboard.press('m');
+    await page.getByLabel('Speed').selectOption('fast');
+    assert.ok(Math.abs((await metres()) - 3 * usual) < 1e-6);
+    await page.reload();
+    await page.waitForFunction(() => window.splatbus?.stage.standing);
+    assert.ok(Math.abs((await metres()) - 3 * usual) < 1e-3);
+  }));
+
 test('nothing to be read or touched is under a notch', () =>
   opened(kPage, async (page) => {
     const session = await page.context().newCDPSession(page);
@@ -270,6 +306,7 @@ test('a flight is measured, shown and posted', () =>
 
 test('a slider between the engine\'s own picture and the splats, and how alike they are', () => {
   let rights = 'view';
+  let held = null;
   return opened(`${kPage.replace('index.html', 'index.html?gpu=webgl2')}`, async (page) => {
     await page.keyboard.press('c');
     await page.waitForFunction(() => document.querySelector('.notice').textContent.includes('may not'));
@@ -279,7 +316,13 @@ test('a slider between the engine\'s own picture and the splats, and how alike t
       const stop = new MutationObserver(() => (window.namedEarly ??= getComputedStyle(label).display !== 'none' && document.querySelector('.compare canvas').hidden));
       stop.observe(document.querySelector('.compare'), { attributes: true });
     });
+    // Who is impatient wants it no less.
+    held = [];
     await page.keyboard.press('c');
+    await page.keyboard.press('c');
+    await page.waitForTimeout(300); // as long as the server takes
+    for (const answer of held) await answer();
+    held = null;
     await page.waitForFunction(() => window.splatbus.extras.comparison.quality);
     assert.equal(await page.evaluate(() => window.namedEarly), false, 'splats are not called the engine\'s');
     assert.equal(await page.locator('.compare .right').isVisible(), true);
@@ -297,9 +340,18 @@ test('a slider between the engine\'s own picture and the splats, and how alike t
     await page.evaluate(() => window.splatbus.rig.zoom(0.8));
     await page.waitForFunction(() => !window.splatbus.extras.comparison.quality && document.querySelector('.compare canvas').hidden);
     await page.waitForFunction(() => window.splatbus.extras.comparison.quality && !document.querySelector('.compare canvas').hidden);
-    await page.keyboard.press('c');
+    await page.keyboard.press('m');
+    await page.keyboard.press('Escape');
+    await page.getByRole('dialog').waitFor({ state: 'hidden' });
+    assert.ok(await page.evaluate(() => window.splatbus.extras.comparison.on), 'the menu goes first');
+    await page.keyboard.press('Escape');
     await page.waitForFunction(() => !window.splatbus.extras.comparison.on);
-  }, { before: answering('**/status', (route) => route.fulfill({ json: { rights } })) });
+    await page.keyboard.press('Escape');
+    assert.equal(await page.evaluate(() => window.splatbus.extras.comparison.on), false);
+  }, { before: answering('**/status', (route) => {
+    const answer = () => route.fulfill({ json: { rights } });
+    return held ? void held.push(answer) : answer();
+  }) });
 });
 
 test('the model is downloaded as a file, or it is said that there is none', () => {

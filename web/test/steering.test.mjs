@@ -4,6 +4,11 @@ import { test } from 'node:test';
 import { goal, kPage, kStart, opened, reaches } from './opened_page.mjs';
 import { readPng } from './png.mjs';
 
+/** Where the camera looks to begin with. */
+const kAhead = [-Math.cos(kStart.pitch) * Math.cos(kStart.yaw), -Math.sin(kStart.pitch), -Math.cos(kStart.pitch) * Math.sin(kStart.yaw)];
+const kFocal = 200 / (2 * Math.tan(Math.PI / 6));
+const turns = (page) => page.evaluate(() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => requestAnimationFrame(done)))));
+
 test('keys fly and turn, F shows all', () =>
   opened(kPage, async (page) => {
     const held = async (key, until) => {
@@ -13,10 +18,11 @@ test('keys fly and turn, F shows all', () =>
     };
     await held('w', () => Math.hypot(window.splatbus.rig.goal.target[0], window.splatbus.rig.goal.target[2]) > 0.2);
     const ahead = await goal(page);
-    // Towards where the camera looks, on the level.
-    assert.ok(Math.abs(Math.atan2(-ahead.target[2], -ahead.target[0]) - kStart.yaw) < 1e-6);
-    assert.equal(ahead.target[1], 0);
+    const far = Math.hypot(...ahead.target);
+    kAhead.forEach((value, k) => assert.ok(Math.abs(ahead.target[k] - far * value) < 1e-6, `${ahead.target}`));
     await held('e', () => window.splatbus.rig.goal.target[1] > 0.1);
+    const above = await goal(page);
+    assert.deepEqual([above.target[0], above.target[2]], [ahead.target[0], ahead.target[2]], 'up is the world\'s');
     await held('ArrowRight', () => window.splatbus.rig.goal.yaw > 1.1);
     const before = await goal(page);
     await held('d', () => window.splatbus.rig.goal.target[0] > 0);
@@ -43,6 +49,120 @@ test('the mouse orbits, pans and zooms', () =>
     await page.waitForFunction((far) => Math.abs(Math.hypot(...window.splatbus.rig.goal.target) - far) < 1e-6, metres);
     await page.mouse.wheel(0, -100);
     await reaches(page, { distance: 3.6 });
+  }));
+
+test('a trackpad pinches as far as fingers go, scrolls to orbit and zoom, and pans with Shift', () =>
+  opened(kPage, async (page) => {
+    const wheel = (options) => page.evaluate((given) => void document.querySelector('.stage').dispatchEvent(new WheelEvent('wheel', { cancelable: true, ...given })), options);
+    // Twice as far apart in 20 events, each of which says a hundred times its part of the logarithm.
+    for (let k = 0; k < 20; ++k) await wheel({ deltaY: -5 * Math.LN2, ctrlKey: true });
+    await reaches(page, { distance: 2 });
+    // A wheel with Ctrl held is no pinch: a notch is one as ever.
+    await page.keyboard.down('Control');
+    await wheel({ deltaY: 100, ctrlKey: true });
+    await page.keyboard.up('Control');
+    await reaches(page, { distance: 2 / 0.9 });
+    await wheel({ deltaY: -3, deltaMode: 1 }); // lines
+    await reaches(page, { distance: (2 / 0.9) * 0.9 ** 0.99 });
+    await wheel({ deltaX: 50, deltaY: 10 });
+    await reaches(page, { yaw: kStart.yaw - 50 * 0.006, pitch: kStart.pitch, distance: (2 / 0.9) * 0.9 ** 0.99 });
+    assert.deepEqual((await goal(page)).target, [0, 0, 0]);
+    await wheel({ deltaX: 30, deltaY: 40, shiftKey: true });
+    const metres = (50 * (2 / 0.9) * 0.9 ** 0.99) / kFocal;
+    await page.waitForFunction((far) => Math.abs(Math.hypot(...window.splatbus.rig.goal.target) - far) < 1e-6, metres);
+    // Safari's own.
+    const { distance } = await goal(page);
+    await page.evaluate(() => {
+      for (const [name, scale] of [['gesturestart', 1], ['gesturechange', 1.5], ['gesturechange', 2]]) {
+        document.querySelector('.stage').dispatchEvent(Object.assign(new Event(name, { cancelable: true }), { scale }));
+      }
+    });
+    await reaches(page, { distance: distance / 2 });
+  }));
+
+/** The camera that stays where it is and has that pixel in its middle, by the pinhole's own formula. */
+function centred(x, y) {
+  const right = [Math.sin(kStart.yaw), 0, -Math.cos(kStart.yaw)];
+  const up = [Math.sin(kStart.pitch) * -Math.cos(kStart.yaw), Math.cos(kStart.pitch), Math.sin(kStart.pitch) * -Math.sin(kStart.yaw)];
+  const ray = kAhead.map((value, k) => value + ((x - 160) / kFocal) * right[k] - ((y - 100) / kFocal) * up[k]);
+  const unit = ray.map((value) => value / Math.hypot(...ray));
+  return { target: unit.map((value, k) => kStart.distance * (value - kAhead[k])), pitch: Math.asin(-unit[1]) };
+}
+const comesToCentre = (page, { target, pitch }) =>
+  page.waitForFunction(
+    ([wanted, wantedPitch]) => {
+      const { rig } = window.splatbus;
+      return rig.shown === rig.goal && Math.abs(rig.goal.pitch - wantedPitch) < 1e-6 && Math.hypot(...rig.goal.target.map((value, k) => value - wanted[k])) < 1e-6;
+    },
+    [target, pitch],
+  );
+
+test('a double-click centres what is there; two clicks apart do not', () =>
+  opened(kPage, async (page) => {
+    await page.mouse.click(230, 60);
+    await page.waitForTimeout(500);
+    await page.mouse.click(230, 60);
+    await page.mouse.click(120, 60);
+    await turns(page);
+    assert.deepEqual(await goal(page), kStart);
+    await page.waitForTimeout(500);
+    await page.mouse.dblclick(230, 60);
+    await comesToCentre(page, centred(230, 60));
+    assert.equal((await goal(page)).distance, kStart.distance);
+  }));
+
+test('R goes back to the view that the page was opened with', () =>
+  opened(kPage, async (page) => {
+    await page.evaluate(() => {
+      window.splatbus.rig.orbit(20, 0.3);
+      window.splatbus.rig.zoom(3);
+    });
+    await page.keyboard.press('r');
+    await page.waitForFunction(() => window.splatbus.rig.shown === window.splatbus.rig.goal && window.splatbus.rig.goal.distance === 4);
+    const back = await goal(page);
+    assert.deepEqual(back.target, kStart.target);
+    assert.equal(back.pitch, kStart.pitch);
+    const turned = back.yaw - kStart.yaw - 20;
+    assert.ok(Math.abs(Math.sin((back.yaw - kStart.yaw) / 2)) < 1e-9 && Math.abs(turned) <= Math.PI, `by the shorter way: ${back.yaw}`);
+  }));
+
+test('R without a view in the address goes back to what was shown first', () =>
+  opened('index.html', async (page) => {
+    await page.waitForFunction(() => window.splatbus.rig.shown === window.splatbus.rig.goal && window.splatbus.rig.goal.distance !== 4.3);
+    const first = await goal(page);
+    await page.evaluate(() => {
+      window.splatbus.rig.pan(70, 20, 100);
+      window.splatbus.rig.orbit(0.5, 0.1);
+    });
+    await page.keyboard.press('m');
+    await page.getByRole('button', { name: 'Reset view' }).click();
+    await reaches(page, { pitch: first.pitch, yaw: first.yaw, distance: first.distance });
+    assert.deepEqual((await goal(page)).target, first.target);
+  }));
+
+test('a page of no size comes back from there', () =>
+  opened(kPage, async (page) => {
+    await page.evaluate(() => (document.querySelector('.stage').style.height = 0));
+    await page.keyboard.press('f');
+    await page.waitForFunction(() => window.splatbus.rig.goal.distance !== 4);
+    const { distance, target } = await goal(page);
+    // All of it in a square: its sphere's radius is three quarters of what is shown of half 60 degrees' sine.
+    const radius = await page.evaluate(
+      () =>
+        new Promise((done) => {
+          const { link } = window.splatbus;
+          const hear = link.onMessage;
+          link.onMessage = (message) => (message.kind === 'bounds' && done(message.radius), hear(message));
+          link.send({ kind: 'bounds' });
+        }),
+    );
+    assert.ok(Math.abs(distance - 1.5 * radius) < 1e-6 && target.every(Number.isFinite), `${distance} m, ${radius} m`);
+    await page.evaluate(() => {
+      document.querySelector('.stage').style.height = '';
+      window.splatbus.rig.orbit(NaN, 0); // nor is that a place
+    });
+    await page.keyboard.press('f');
+    await page.waitForFunction(() => window.splatbus.rig.shown === window.splatbus.rig.goal && window.splatbus.rig.goal.distance > 0);
   }));
 
 /** Sends touches of fingers at points of the page. */
@@ -80,6 +200,108 @@ test('one finger orbits, two pinch and pan, a stick moves', () =>
     },
     { hasTouch: true },
   ));
+
+test('two taps centre what is there; a tap and one elsewhere, or one of two fingers, do not', () =>
+  opened(
+    kPage,
+    async (page) => {
+      const touch = await fingers(page);
+      const tap = async (...points) => {
+        await touch('touchStart', ...points);
+        await touch('touchEnd');
+      };
+      await tap([90, 60]);
+      await tap([230, 60]);
+      await tap([230, 60], [240, 60]);
+      await tap([230, 60], [240, 60]);
+      await turns(page);
+      const { target, distance } = await goal(page);
+      assert.ok(Math.hypot(...target) < 1e-9 && Math.abs(distance - kStart.distance) < 1e-9, `${target}`);
+      await tap([230, 60]);
+      await tap([230, 60]);
+      await comesToCentre(page, centred(230, 60));
+    },
+    { hasTouch: true },
+  ));
+
+/** Keys of a keyboard that is not English: where they are, and what they say. */
+async function keyboard(page) {
+  const session = await page.context().newCDPSession(page);
+  const send = (type) => (code, key) => session.send('Input.dispatchKeyEvent', { type, code, key });
+  const [down, up] = [send('rawKeyDown'), send('keyUp')];
+  return { down, up, press: async (code, key) => [await down(code, key), await up(code, key)] };
+}
+
+test('keys that move count by where they are, letters and signs by what they say', () =>
+  opened(kPage, async (page) => {
+    const { down, up, press } = await keyboard(page);
+    const menu = page.getByRole('dialog', { name: 'Menu' });
+    await press('KeyM', ','); // as in France
+    await turns(page);
+    assert.equal(await menu.isVisible(), false);
+    await press('Semicolon', 'm');
+    await menu.waitFor();
+    await press('KeyM', 'ь'); // as in Russia, where no key says M
+    await menu.waitFor({ state: 'hidden' });
+    await down('KeyW', 'z');
+    await page.waitForFunction(() => window.splatbus.rig.goal.target[1] < -0.05);
+    await up('KeyW', 'z');
+    await down('BracketRight', '+'); // as in Germany
+    await page.waitForFunction(() => window.splatbus.rig.goal.distance < 3.9);
+    await up('BracketRight', '*'); // Shift went down meanwhile
+    await turns(page);
+    const nearer = await goal(page);
+    await turns(page);
+    assert.deepEqual(await goal(page), nearer, 'it has come up');
+    await down('Slash', '-');
+    await page.waitForFunction((distance) => window.splatbus.rig.goal.distance > distance + 0.1, nearer.distance);
+    await up('Slash', '-');
+  }));
+
+test('what macOS does not tell of keys that come up beside Cmd leaves no camera that goes on', () =>
+  opened(kPage, async (page) => {
+    const { down, up } = await keyboard(page);
+    await down('KeyD', 'd');
+    await page.waitForFunction(() => Math.hypot(...window.splatbus.rig.goal.target) > 0.05);
+    await down('MetaLeft', 'Meta');
+    await up('MetaLeft', 'Meta');
+    await turns(page);
+    const stands = await goal(page);
+    await turns(page);
+    assert.deepEqual(await goal(page), stands);
+  }));
+
+test('the menu names keys as this keyboard does', () => {
+  const french = () => {
+    const layout = new Map([['KeyW', 'z'], ['KeyA', 'q'], ['KeyS', 's'], ['KeyD', 'd'], ['KeyQ', 'a'], ['KeyE', 'e']]);
+    Object.defineProperty(navigator, 'keyboard', { value: { getLayoutMap: async () => layout } });
+  };
+  return opened(kPage, async (page) => {
+    await page.keyboard.press('m');
+    await page.waitForFunction(() => [...document.querySelectorAll('.keys dt')].slice(0, 2).map((dt) => dt.textContent).join() === 'Z Q S D,A E');
+  }, { init: french });
+});
+
+test('a browser that does not tell has the names of an English keyboard', () =>
+  opened(kPage, async (page) => {
+    await page.keyboard.press('m');
+    await page.waitForFunction(() => [...document.querySelectorAll('.keys dt')].slice(0, 2).map((dt) => dt.textContent).join() === 'W A S D,Q E');
+  }, { init: () => Object.defineProperty(navigator, 'keyboard', { value: undefined }) }));
+
+test('where there is no full screen it is not offered, and V says so', () => {
+  const phone = () => {
+    delete Element.prototype.requestFullscreen;
+    delete Document.prototype.fullscreenEnabled;
+    delete Document.prototype.fullscreenElement;
+  };
+  return opened(kPage, async (page) => {
+    await page.keyboard.press('v');
+    await page.waitForFunction(() => document.querySelector('.notice').textContent.includes('no full screen'));
+    await page.keyboard.press('m');
+    await page.getByRole('button', { name: 'Show all' }).waitFor();
+    assert.equal(await page.getByRole('button', { name: 'Full screen' }).isVisible(), false);
+  }, { init: phone });
+});
 
 test('two fingers pan, and pinch while they do', () =>
   opened(
@@ -148,7 +370,7 @@ test('all of the page is reached and used by Tab alone', () =>
     await page.keyboard.press('Enter');
     const stops = [await focused()];
     while (stops.at(-1).name !== 'Close' && stops.length < 30) stops.push(await tab());
-    const kMenu = ['Show all', 'Full screen', 'Save picture', 'Copy link', 'Figures', 'Compare', 'Quality', 'Gaussians at most', 'Mbit/s at most', 'Background'];
+    const kMenu = ['Show all', 'Reset view', 'Full screen', 'Save picture', 'Copy link', 'Figures', 'Compare', 'Quality', 'Gaussians at most', 'Mbit/s at most', 'Background', 'Speed'];
     assert.deepEqual(stops.map(({ name }) => name), [...kMenu, '.ply', '.glb', '.spz', 'Close']);
     for (const stop of stops) assert.ok(stop.seen && stop.ringed, JSON.stringify(stop));
 
@@ -178,11 +400,16 @@ test('a gamepad flies, turns and shows all', () =>
       page.evaluate(
         ([values, held]) => {
           const buttons = Array.from({ length: 16 }, (_, index) => ({ value: held[index] ?? 0 }));
-          navigator.getGamepads = () => [{ connected: true, axes: values, buttons }];
+          // And a wheel, with pedals that nobody treads on.
+          const wheel = { connected: true, mapping: '', axes: [0.5, -1, -1, -1], buttons: buttons.map(() => ({ value: 1 })) };
+          navigator.getGamepads = () => [wheel, null, { connected: true, mapping: 'standard', axes: values, buttons }];
         },
         [axes, { 0: Number(pressed), ...others }],
       );
-    await pad([0.05, -1, 0, 0]); // what a stick at rest says of itself does not count
+    await pad([0.05, 0, 0, 0.05]); // what a stick at rest says of itself does not count
+    await turns(page);
+    assert.deepEqual(await goal(page), kStart);
+    await pad([0.05, -1, 0, 0]);
     await page.waitForFunction(() => Math.hypot(window.splatbus.rig.goal.target[0], window.splatbus.rig.goal.target[2]) > 0.2);
     const ahead = await goal(page);
     assert.ok(Math.abs(Math.atan2(-ahead.target[2], -ahead.target[0]) - kStart.yaw) < 1e-6);

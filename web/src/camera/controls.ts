@@ -3,6 +3,7 @@ import { HeldKeys, kTurnSpeed } from './keys';
 import { Pointers } from './pointers';
 import type { Rig } from './rig';
 import { Stick } from './stick';
+import { Wheel } from './wheel';
 
 const kZoomASecond = 2.5;
 const kLongestStepS = 0.1;
@@ -20,10 +21,11 @@ export class Controls {
     private readonly rig: Rig,
   ) {
     this.#pointers = new Pointers(canvas, rig);
+    new Wheel(canvas, rig);
     canvas.addEventListener('touched', () => (this.stick.element.hidden = false));
     addEventListener('blur', () => this.keys.releaseAll());
     document.addEventListener('visibilitychange', () => this.keys.releaseAll());
-    addEventListener('keyup', (event) => this.keys.release(event.code));
+    addEventListener('keyup', (event) => this.keys.release(event));
   }
 
   /** Moves the camera by what has been held down for so long. */

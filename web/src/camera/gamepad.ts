@@ -12,12 +12,15 @@ export interface PadState {
 
 const beyondDead = (x: number): number => (Math.abs(x) < kDead ? 0 : (x - Math.sign(x) * kDead) / (1 - kDead));
 
-/** Every gamepad of the standard layout: left stick moves, right stick turns, triggers sink and rise, bumpers hurry. */
+/**
+ * Every gamepad of the standard layout: left stick moves, right stick turns, triggers sink and rise, bumpers hurry. Of others
+ * nobody knows what an axis is, or where it rests: a pedal at -1 would turn the camera for ever.
+ */
 export class Gamepads {
   #wasDown = false;
 
   read(): PadState | null {
-    const pads = (navigator.getGamepads?.() ?? []).filter((pad) => pad?.connected);
+    const pads = (navigator.getGamepads?.() ?? []).filter((pad) => pad?.connected && pad.mapping === 'standard');
     if (pads.length === 0) return null;
     const axis = (index: number): number => pads.reduce((sum, pad) => sum + beyondDead(pad?.axes[index] ?? 0), 0);
     const button = (index: number): number => Math.max(...pads.map((pad) => pad?.buttons[index]?.value ?? 0));

@@ -3,23 +3,31 @@ import type { Motion } from './rig';
 /** Turns a second, radians. */
 export const kTurnSpeed = 1.2;
 
-const kHeld = new Set([
-  'KeyW', 'KeyA', 'KeyS', 'KeyD', 'KeyQ', 'KeyE', 'ShiftLeft', 'ShiftRight',
-  'ArrowUp', 'ArrowDown', 'ArrowLeft', 'ArrowRight', 'Equal', 'Minus', 'NumpadAdd', 'NumpadSubtract',
+/** Keys that count by where they are: so they lie under the fingers on any layout. */
+const kPlaces = new Set([
+  'KeyW', 'KeyA', 'KeyS', 'KeyD', 'KeyQ', 'KeyE', 'ShiftLeft', 'ShiftRight', 'ArrowUp', 'ArrowDown', 'ArrowLeft', 'ArrowRight',
 ]);
+/** Keys that count by what they say, for that is what a person looks for; what is on the same key without Shift, or with it. */
+const kSigns = new Map([['+', 'nearer'], ['=', 'nearer'], ['-', 'farther'], ['_', 'farther']]);
 
-/** Keys that are held down, by where they are and not by what they say. */
+export type Key = Pick<KeyboardEvent, 'code' | 'key'>;
+
+/** Keys that are held down. */
 export class HeldKeys {
-  readonly #down = new Set<string>();
+  /** What they mean, by where they are: what one says may be another thing when it comes up. */
+  readonly #down = new Map<string, string>();
 
   /** True if the key is one that moves the camera. */
-  press(code: string): boolean {
-    if (!kHeld.has(code)) return false;
-    this.#down.add(code);
+  press({ code, key }: Key): boolean {
+    const meaning = kPlaces.has(code) ? code : kSigns.get(key);
+    if (meaning === undefined) return false;
+    this.#down.set(code, meaning);
     return true;
   }
-  release(code: string): void {
-    this.#down.delete(code);
+  /** macOS does not tell of keys that come up while Cmd is down. */
+  release({ code, key }: Key): void {
+    if (key === 'Meta') this.releaseAll();
+    else this.#down.delete(code);
   }
   releaseAll(): void {
     this.#down.clear();
@@ -30,7 +38,7 @@ export class HeldKeys {
       right: this.#axis('KeyD', 'KeyA'),
       up: this.#axis('KeyE', 'KeyQ'),
       ahead: this.#axis('KeyW', 'KeyS'),
-      fast: this.#down.has('ShiftLeft') || this.#down.has('ShiftRight'),
+      fast: this.#held('ShiftLeft') || this.#held('ShiftRight'),
     };
   }
   /** To the right and upwards, in [-1, 1]. */
@@ -39,10 +47,13 @@ export class HeldKeys {
   }
   /** Nearer above 0. */
   zoom(): number {
-    return this.#axis('Equal', 'Minus') + this.#axis('NumpadAdd', 'NumpadSubtract');
+    return this.#axis('nearer', 'farther');
   }
 
+  #held(meaning: string): boolean {
+    return [...this.#down.values()].includes(meaning);
+  }
   #axis(more: string, less: string): number {
-    return Number(this.#down.has(more)) - Number(this.#down.has(less));
+    return Number(this.#held(more)) - Number(this.#held(less));
   }
 }

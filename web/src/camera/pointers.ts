@@ -1,22 +1,24 @@
 import { focalOf, type Rig } from './rig';
+import { Taps } from './taps';
 
-const kRadiansAPixel = 0.006;
-const kZoomANotch = 0.9;
-const kPixelsANotch = 100;
+export const kRadiansAPixel = 0.006;
 
 interface At {
   x: number;
   y: number;
 }
 
+const tapOf = ({ clientX, clientY, timeStamp }: PointerEvent): { x: number; y: number; ms: number } => ({ x: clientX, y: clientY, ms: timeStamp });
+
 /** Where two fingers are: the middle between them, and how far apart they are. */
 interface Pinch extends At {
   readonly apart: number;
 }
 
-/** Mouse, pen and fingers on the picture: one orbits, two pan and pinch; the other mouse buttons, or Shift, pan. */
+/** Mouse, pen and fingers on the picture: one orbits, two pan and pinch; the other mouse buttons, or Shift, pan. Two taps centre. */
 export class Pointers {
   readonly #down = new Map<number, At>();
+  readonly #taps = new Taps();
   #panning = false;
   /** As the camera has followed it. */
   #pinch: Pinch | null = null;
@@ -32,7 +34,6 @@ export class Pointers {
       element.addEventListener(end, (event) => this.#release(event));
     }
     element.addEventListener('contextmenu', (event) => event.preventDefault());
-    element.addEventListener('wheel', (event) => this.#wheel(event), { passive: false });
   }
 
   /** To be called with every frame: each of two fingers has an event of its own, and one alone is no pinch yet. */
@@ -61,6 +62,15 @@ export class Pointers {
     this.advance();
     this.#down.delete(event.pointerId);
     this.#pinch = this.#pinchNow();
+    if (event.type === 'pointercancel') this.#taps.cancel();
+    if (event.type === 'pointerup' && this.#taps.release(tapOf(event))) this.#centre(event);
+  }
+
+  #centre(event: PointerEvent): void {
+    const box = this.element.getBoundingClientRect();
+    const right = event.clientX - (box.left + box.right) / 2;
+    const down = event.clientY - (box.top + box.bottom) / 2;
+    this.rig.centre(right / this.#focal, down / this.#focal);
   }
 
   #press(event: PointerEvent): void {
@@ -70,6 +80,8 @@ export class Pointers {
     this.#down.set(event.pointerId, { x: event.clientX, y: event.clientY });
     this.#pinch = this.#pinchNow();
     this.#panning = event.pointerType === 'mouse' && (event.button !== 0 || event.shiftKey);
+    if (this.#panning || this.#down.size > 1) this.#taps.cancel();
+    else this.#taps.press(tapOf(event));
     if (event.pointerType === 'touch' && !this.touched) {
       this.touched = true;
       this.element.dispatchEvent(new Event('touched', { bubbles: true }));
@@ -87,11 +99,5 @@ export class Pointers {
     if (this.#down.size !== 1) return; // two are followed with the frames
     if (this.#panning) this.rig.pan(dx, dy, this.#focal);
     else this.rig.orbit(dx * kRadiansAPixel, dy * kRadiansAPixel);
-  }
-
-  #wheel(event: WheelEvent): void {
-    event.preventDefault();
-    const pixels = event.deltaY * (event.deltaMode === WheelEvent.DOM_DELTA_LINE ? 33 : event.deltaMode === WheelEvent.DOM_DELTA_PAGE ? 400 : 1);
-    this.rig.zoom(kZoomANotch ** (-pixels / kPixelsANotch));
   }
 }

@@ -16,6 +16,8 @@ const kNearest = 0.05;
 const kFarthest = 1e4;
 const kFovRadians = Math.PI / 3;
 const kSpeed = 0.8; // distances to the target a second
+/** Metres a second at least: who looks at a thing from near wants to leave it, too. */
+const kSlowest = 1;
 const kFaster = 4;
 /** Of the sphere about all, what is framed: its corners are empty. */
 const kFramed = 0.75;
@@ -29,6 +31,9 @@ export const backwardOf = (pose: Pose): Vec3 => [
 ];
 export const eyeOf = (pose: Pose): Vec3 => add(pose.target, scale(backwardOf(pose), pose.distance));
 const rightOf = (pose: Pose): Vec3 => [Math.sin(pose.yaw), 0, -Math.cos(pose.yaw)];
+const downOf = (pose: Pose): Vec3 => cross(scale(backwardOf(pose), -1), rightOf(pose));
+/** The same turn, half a circle at most. */
+const shortest = (turn: number): number => Math.atan2(Math.sin(turn), Math.cos(turn));
 
 /** Focal length in pixels; an upright picture is as wide as it is high, by area. */
 export function focalOf(width: number, height: number): number {
@@ -59,12 +64,16 @@ const limited = (pose: Pose): Pose => ({
   distance: clamp(pose.distance, kNearest, kFarthest),
 });
 
-/** Metres a second (right, up, ahead), each in [-1, 1] of the full speed. */
+const isPlace = ({ target, yaw, pitch, distance }: Pose): boolean => [...target, yaw, pitch, distance].every(Number.isFinite);
+
+/** To the right, up as the world has it, and to where one looks, each in [-1, 1] of the full speed. */
 export interface Motion {
   readonly right: number;
   readonly up: number;
   readonly ahead: number;
   readonly fast: boolean;
+  /** Ahead on the level: a headset's own lean is not the camera's. */
+  readonly level?: boolean;
 }
 
 /** Where the camera should be, and where it is on its way there. */
@@ -73,6 +82,8 @@ export class Rig {
   #shown: Pose = kFirstPose;
   /** False where a person asked for less motion. */
   smooth = true;
+  /** Times the usual one. */
+  speed = 1;
 
   get goal(): Pose {
     return this.#goal;
@@ -83,11 +94,16 @@ export class Rig {
 
   /** There at once. */
   jump(pose: Pose): void {
-    this.#goal = limited(pose);
+    this.move(pose);
     this.#shown = this.#goal;
   }
+  /** What is no place is nowhere to go: nothing would come back from there. */
   move(pose: Pose): void {
-    this.#goal = limited(pose);
+    if (isPlace(pose)) this.#goal = limited(pose);
+  }
+  /** Without the turns about itself that it is behind or ahead. */
+  moveStraight(pose: Pose): void {
+    this.move({ ...pose, yaw: this.#goal.yaw + shortest(pose.yaw - this.#goal.yaw) });
   }
 
   /** About the target. */
@@ -102,12 +118,22 @@ export class Rig {
     this.move({ ...turned, target: sub(eye, scale(backwardOf(turned), turned.distance)) });
   }
 
+  /**
+   * What is seen there, in focal lengths off the middle, comes to the middle and is what one orbits. How far it is nobody knows
+   * here, so the eye stays, as does the distance to the target: it is centred however far it is.
+   */
+  centre(right: number, down: number): void {
+    const seen = this.#shown;
+    const ray = sub(add(scale(rightOf(seen), right), scale(downOf(seen), down)), backwardOf(seen));
+    const [x, y, z] = scale(ray, 1 / length(ray));
+    this.look(shortest(Math.atan2(-z, -x) - this.#goal.yaw), Math.asin(-y) - this.#goal.pitch);
+  }
+
   /** What is at the target's distance follows by as many of a picture's pixels. */
   pan(right: number, down: number, focal: number): void {
     const pose = this.#goal;
-    const up = cross(rightOf(pose), scale(backwardOf(pose), -1));
     const metres = pose.distance / focal;
-    this.move({ ...pose, target: add(pose.target, add(scale(rightOf(pose), -right * metres), scale(up, down * metres))) });
+    this.move({ ...pose, target: sub(pose.target, scale(add(scale(rightOf(pose), right), scale(downOf(pose), down)), metres)) });
   }
 
   /** Times the distance. */
@@ -117,16 +143,16 @@ export class Rig {
 
   fly(motion: Motion, seconds: number): void {
     const pose = this.#goal;
-    const step = kSpeed * (motion.fast ? kFaster : 1) * pose.distance * seconds;
-    const ahead: Vec3 = [-Math.cos(pose.yaw), 0, -Math.sin(pose.yaw)];
+    const speed = Math.max(kSpeed * pose.distance, kSlowest) * this.speed * (motion.fast ? kFaster : 1);
+    const ahead = scale(backwardOf(motion.level ? { ...pose, pitch: 0 } : pose), -1);
     const way = add(add(scale(rightOf(pose), motion.right), scale(ahead, motion.ahead)), [0, motion.up, 0]);
-    this.move({ ...pose, target: add(pose.target, scale(way, step)) });
+    this.move({ ...pose, target: add(pose.target, scale(way, speed * seconds)) });
   }
 
-  /** All of a sphere, from where the camera looks now. */
+  /** All of a sphere, from where the camera looks now. A picture that has no size yet will be about as wide as it is high. */
   frame(centre: Vec3, radius: number, width: number, height: number): void {
-    const focal = focalOf(width, height);
-    const half = Math.atan(Math.min(width, height) / (2 * focal));
+    const [across, high] = width > 0 && height > 0 ? [width, height] : [1, 1];
+    const half = Math.atan(Math.min(across, high) / (2 * focalOf(across, high)));
     this.move({ ...this.#goal, target: centre, distance: (kFramed * radius) / Math.sin(half) });
   }
 

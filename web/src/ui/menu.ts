@@ -1,10 +1,12 @@
 import { kModelFiles, type ModelFile } from '../download';
 import { texts } from '../texts';
 import { button, choice, make } from './dom';
+import { namesOfKeys } from './keyboard';
 import { kGaussianBudgets, kRateBudgets, type Settings } from './settings';
 
 export interface MenuActions {
   readonly frameAll: () => void;
+  readonly resetView: () => void;
   readonly fullScreen: () => void;
   readonly snapshot: () => void;
   readonly share: () => void;
@@ -25,12 +27,16 @@ export class Menu {
   readonly element: HTMLDialogElement;
   readonly #follow: HTMLButtonElement;
   readonly #immerse: HTMLButtonElement;
+  /** Names of keys that are meant by where they are. */
+  readonly #places = new Map<HTMLElement, readonly string[]>();
 
   constructor(settings: Settings, actions: MenuActions) {
     this.#follow = button(texts.follow, actions.follow);
     this.#follow.hidden = true;
     this.#immerse = button(texts.immerse, actions.immerse);
     this.#immerse.hidden = true;
+    const fullScreen = button(texts.fullScreen, actions.fullScreen);
+    fullScreen.hidden = !document.fullscreenEnabled;
     const budgets = Object.fromEntries(kGaussianBudgets.map((value) => [String(value), count(value)]));
     const rates = Object.fromEntries(kRateBudgets.map((value) => [String(value), value === 0 ? texts.noLimit : String(value)]));
     const change = (apply: () => void) => (): void => {
@@ -44,7 +50,8 @@ export class Menu {
         'div',
         { class: 'buttons actions' },
         button(texts.frameAll, actions.frameAll),
-        button(texts.fullScreen, actions.fullScreen),
+        button(texts.resetView, actions.resetView),
+        fullScreen,
         button(texts.snapshot, actions.snapshot),
         button(texts.share, actions.share),
         button(texts.figures, actions.figures),
@@ -60,12 +67,20 @@ export class Menu {
         change(() => (settings.budget = { ...settings.budget, megabits: Number(key) }))(),
       ),
       choice(texts.background, texts.backgrounds, settings.background, (key) => change(() => (settings.background = key))()),
+      choice(texts.speed, texts.speeds, settings.speed, (key) => change(() => (settings.speed = key))()),
       make('h2', {}, texts.download),
       make('div', { class: 'buttons' }, ...kModelFiles.map((kind) => button(`.${kind}`, () => actions.download(kind)))),
       make('h2', {}, texts.keys),
-      make('dl', { class: 'keys' }, ...texts.keyList.map(([key, what]) => make('div', {}, make('dt', {}, key), make('dd', {}, what)))),
+      make('dl', { class: 'keys' }, ...texts.keyList.map(([key, what]) => make('div', {}, this.#keyName(key), make('dd', {}, what)))),
       button(texts.close, () => this.element.close()),
     );
+  }
+
+  #keyName(key: string | readonly string[]): HTMLElement {
+    if (typeof key === 'string') return make('dt', {}, key);
+    const element = make('dt');
+    this.#places.set(element, key);
+    return element;
   }
 
   /** There is a headset. */
@@ -80,7 +95,9 @@ export class Menu {
   }
 
   toggle(): void {
-    if (this.element.open) this.element.close();
-    else this.element.show();
+    if (this.element.open) return this.element.close();
+    // Each time: a person may have another keyboard by now.
+    for (const [element, codes] of this.#places) void namesOfKeys(codes).then((names) => (element.textContent = names));
+    this.element.show();
   }
 }

@@ -8,8 +8,9 @@ export class Overlay {
   readonly element = make('dl', { class: 'figures' });
   readonly #values = new Map<Key, HTMLElement>();
 
-  constructor() {
-    this.element.hidden = matchMedia('(max-width: 600px)').matches; // on a phone they would be most of the picture
+  /** Whether somebody wants it; null: nobody has said. */
+  constructor(wanted: boolean | null) {
+    this.element.hidden = wanted === null ? matchMedia('(max-width: 600px)').matches : !wanted; // on a phone they would be most of the picture
     const keys: Key[] = [
       'frames', 'frame', 'sort', 'gaussians', 'rate', 'roundTrip', 'age', 'missing', 'uploaded', 'resolution', 'drawnBy', 'connection',
     ];
@@ -20,8 +21,10 @@ export class Overlay {
     }
   }
 
-  toggle(): void {
+  /** True if it is shown now. */
+  toggle(): boolean {
     this.element.hidden = !this.element.hidden;
+    return !this.element.hidden;
   }
 
   show(figures: Partial<Record<Key, string>>): void {

@@ -4,9 +4,15 @@ import type { Budget } from '../stream/messages';
 export type Quality = 'auto' | 'full' | 'high' | 'medium' | 'low';
 export type Background = 'scene' | 'black' | 'gray' | 'white';
 
+export type Speed = 'slow' | 'normal' | 'fast' | 'fastest';
+
 export interface Settings {
   quality: Quality;
   background: Background;
+  /** Of the camera that flies. */
+  speed: Speed;
+  /** Whether figures are over the picture; null: as the screen has room for them. */
+  figures: boolean | null;
   budget: Budget;
 }
 
@@ -16,12 +22,19 @@ export const kBackgrounds: Readonly<Record<Exclude<Background, 'scene'>, [number
   gray: [0.2, 0.2, 0.2],
   white: [1, 1, 1],
 };
+export const kSpeeds: Readonly<Record<Speed, number>> = { slow: 0.25, normal: 1, fast: 3, fastest: 10 };
 /** Mbit/s; 0: as the streamer likes. */
 export const kRateBudgets = [0, 1, 2, 5, 10, 20, 50] as const;
 export const kGaussianBudgets = [100_000, 300_000, 1_000_000, 2_000_000, 4_000_000] as const;
 
 const kKey = 'splatbus.settings';
-const kDefaults: Settings = { quality: 'auto', background: 'scene', budget: { gaussians: 1_000_000, megabits: 0 } };
+const kDefaults: Settings = {
+  quality: 'auto',
+  background: 'scene',
+  speed: 'normal',
+  figures: null,
+  budget: { gaussians: 1_000_000, megabits: 0 },
+};
 
 export function loadSettings(): Settings {
   try {
@@ -29,6 +42,8 @@ export function loadSettings(): Settings {
     return {
       quality: kept.quality && (kept.quality === 'auto' || kept.quality in kResolutions) ? kept.quality : kDefaults.quality,
       background: kept.background && (kept.background === 'scene' || kept.background in kBackgrounds) ? kept.background : kDefaults.background,
+      speed: kept.speed && kept.speed in kSpeeds ? kept.speed : kDefaults.speed,
+      figures: typeof kept.figures === 'boolean' ? kept.figures : kDefaults.figures,
       budget: {
         gaussians: kept.budget && kept.budget.gaussians > 0 ? kept.budget.gaussians : kDefaults.budget.gaussians,
         megabits: kept.budget && kept.budget.megabits > 0 ? kept.budget.megabits : kDefaults.budget.megabits,
