@@ -2,7 +2,9 @@
 #include <gtest/gtest.h>
 
 #include <filesystem>
+#include <fstream>
 #include <future>
+#include <iterator>
 
 #include "command.h"
 #include "launch_plan.h"
@@ -128,6 +130,43 @@ TEST(Record, ATrainerLearnsFromARecordingWithoutAnEngine) {
     return ssim > 0.8;
   })) << "SSIM "
       << ssim;
+}
+
+/// The demo's launch file, with a recorder that is there before the engine.
+std::string recorded_demo(const fs::path& recording) {
+  std::ifstream file(default_launch_file("demo.yaml"));
+  std::string text{std::istreambuf_iterator<char>(file), std::istreambuf_iterator<char>()};
+  const std::string engine = "  - name: engine\n";
+  const std::size_t at = text.find(engine);
+  EXPECT_NE(at, std::string::npos);
+  if (at == std::string::npos) return text;
+  const std::string recorder = fmt::format(
+      "  - name: record\n    program: splatbus\n    args: [record, --exclude, engine/frame, --output, {}]\n\n",
+      recording.string());
+  return text.replace(at, engine.size(), recorder + engine + "    after: [record]\n");
+}
+
+// How far a run comes is the machine's; that its replay comes as far is the pace's.
+TEST(Record, AReplayTakesTheRunsStepsAndEndsAsItDid) {
+  const PrivateBusFolder folder;
+  const fs::path recording = folder.path() / "demo.mcap", launch = folder.path() / "recorded.yaml";
+  std::ofstream(launch) << recorded_demo(recording);
+  const Answer run = splatbus_command(
+      {"demo", "--seconds", "20", "--launch", launch.string(), "--out", (folder.path() / "run").string(), "--json"});
+  ASSERT_TRUE(run.status.success()) << testing::PrintToString(run.lines);
+  const Json demo = run.json().back();
+  const Answer replay =
+      splatbus_command({"eval", "replay", recording.string(), "--out", (folder.path() / "replay").string(), "--json"});
+  ASSERT_TRUE(replay.status.success()) << testing::PrintToString(replay.lines);
+  const Json replayed = replay.json().back();
+  EXPECT_GT(replayed["recorded_steps"], 0);
+  EXPECT_EQ(replayed["steps"], replayed["recorded_steps"]);
+  EXPECT_EQ(replayed["steps_given_up"], 0);
+  EXPECT_EQ(replayed["without_maps"], 0);
+  EXPECT_NEAR(replayed["gaussians"].get<double>(), demo["gaussians"].get<double>(),
+              0.02 * demo["gaussians"].get<double>());
+  // 0.003 is for a minute (docs/benchmarks.md): in the first seconds a step more or less is worth more.
+  EXPECT_NEAR(replayed["ssim"].get<double>(), demo["ssim_server"].get<double>(), 0.02);
 }
 
 }  // namespace
