@@ -90,7 +90,8 @@ TEST_F(RecordDiskTest, WhatWaitsWhenTheFileIsFullIsCountedAndNotAsRecorded) {
   options.file = to_file(path());
   options.file.writer.chunk_bytes = 10'000;
   options.file.writer.compression_level = 0;
-  options.file.max_bytes = 30'000;
+  options.file.max_bytes = 60'000;
+  options.topics = {"numbers"};
   options.file.open = [&, gate = open.get_future().share()](unsigned) {
     return std::make_unique<SlowDisk>(gate, path());
   };
@@ -106,6 +107,7 @@ TEST_F(RecordDiskTest, WhatWaitsWhenTheFileIsFullIsCountedAndNotAsRecorded) {
   const Recorder::State state = recorder->state();
   const TopicRecord& record = state.topics.at("numbers");
   EXPECT_TRUE(state.full);
+  EXPECT_GT(record.messages, 0U);
   EXPECT_GT(record.beyond_limit, 0U);
   EXPECT_EQ(record.messages + record.beyond_limit, kPublished);
   const mcap::Reader reader(path());
