@@ -148,7 +148,9 @@ void add_play_verb(CLI::App& app, Action& action) {
   auto options = std::make_shared<PlayVerbOptions>();
   PlayOptions& play_options = options->play;
   CLI::App* verb =
-      app.add_subcommand("play", "Publish a recording, for services to read as from the processes themselves");
+      app.add_subcommand("play",
+                         "Publish a recording, for services to read as from the processes themselves; in a terminal, "
+                         "space pauses and goes on, and s or the right arrow plays one message of a pause");
   verb->add_option("file", options->path, "recording (.mcap)")->required();
   verb->add_option("--rate", play_options.rate, "recorded seconds a second (default 1)")
       ->check(CLI::Range(0.001, 1000.0));
