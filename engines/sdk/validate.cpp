@@ -9,11 +9,11 @@
 #include <vector>
 
 #include "sdk/image_memory.h"
+#include "wire/picture_size.h"
 
 namespace splatbus::engine_sdk {
 namespace {
 
-constexpr std::uint32_t kMaxSide = 8192;
 constexpr std::uint32_t kAllBuffers = 127;
 constexpr std::uint32_t kLastLightMap = 255;  // a byte on the bus
 constexpr std::uint32_t kAllObjectFlags = SPLATBUS_OBJECT_EMISSIVE | SPLATBUS_OBJECT_NOT_MODELLED;
@@ -27,6 +27,12 @@ float norm(std::span<const float> values) {
   float sum = 0;
   for (const float value : values) sum += value * value;
   return std::sqrt(sum);
+}
+
+std::string problem_of_size(const splatbus_camera& camera) {
+  if (is_picture_size(camera.width, camera.height, camera.role == SPLATBUS_ROLE_LIGHT)) return {};
+  return fmt::format("{} x {} pixels, where each side has 1 to {}, and a picture {} at most", camera.width,
+                     camera.height, kMaxPictureSide, kMaxPicturePixels);
 }
 
 std::string problem(const splatbus_rigid& pose, const char* name) {
@@ -182,9 +188,7 @@ std::string problem(const splatbus_camera& camera) {
     return fmt::format("camera {} (role {}): {}", camera.id, camera.role, what);
   };
   if (camera.role > SPLATBUS_ROLE_LIGHT) return named("there is no such role");
-  if (camera.width == 0 || camera.height == 0 || camera.width > kMaxSide || camera.height > kMaxSide) {
-    return named(fmt::format("{} x {} pixels, where each side has 1 to {}", camera.width, camera.height, kMaxSide));
-  }
+  if (std::string wrong = problem_of_size(camera); !wrong.empty()) return named(wrong);
   if (!finite(std::array{camera.fx, camera.fy, camera.cx, camera.cy}))
     return named("fx, fy, cx, cy are not all finite");
   if (camera.fx <= 0 || camera.fy <= 0) return named("fx and fy must be above 0");
@@ -197,10 +201,8 @@ std::string problem(const splatbus_camera& camera) {
 std::string problem(const splatbus_camera_request& request) {
   const splatbus_camera& camera = request.camera;
   if (camera.role == SPLATBUS_ROLE_LIGHT) {
-    if (camera.width == 0 || camera.height == 0 || camera.width > kMaxSide || camera.height > kMaxSide) {
-      return fmt::format("light camera {}: {} x {} pixels, where each side has 1 to {}", camera.id, camera.width,
-                         camera.height, kMaxSide);
-    }
+    if (std::string wrong = problem_of_size(camera); !wrong.empty())
+      return fmt::format("light camera {}: {}", camera.id, wrong);
     if (!std::isfinite(request.extent_m) || request.extent_m < 0)
       return fmt::format("light camera {}: extent_m is {}", camera.id, request.extent_m);
     if (request.extent_m > 0 && !finite(camera.world_from_camera.translation))

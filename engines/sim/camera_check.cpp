@@ -5,25 +5,19 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <cstdint>
 #include <span>
 
+#include "wire/picture_size.h"
+
 namespace splatbus::sim {
-namespace {
-
-constexpr std::uint32_t kGreatestSide = 4096;
-constexpr std::uint64_t kGreatestPixels = 2048ULL * 2048;
-
-}  // namespace
 
 std::string camera_problem(const splatbus_camera& camera) {
   const auto named = [&](const std::string& what) {
     return fmt::format("camera {} (role {}): {}", camera.id, camera.role, what);
   };
-  const std::uint64_t pixels = static_cast<std::uint64_t>(camera.width) * camera.height;
-  if (pixels == 0 || camera.width > kGreatestSide || camera.height > kGreatestSide || pixels > kGreatestPixels) {
+  if (!is_picture_size(camera.width, camera.height, camera.role == SPLATBUS_ROLE_LIGHT)) {
     return named(fmt::format("a picture of {} x {} is out of bounds (1 to {} a side, at most {} pixels)", camera.width,
-                             camera.height, kGreatestSide, kGreatestPixels));
+                             camera.height, kMaxPictureSide, kMaxPicturePixels));
   }
   const auto finite = [](std::span<const float> values) {
     return std::ranges::all_of(values, [](float value) { return std::isfinite(value); });

@@ -6,6 +6,7 @@
 
 #include "stream/bytes.h"
 #include "wire/convert.h"
+#include "wire/picture_size.h"
 
 namespace splatbus::stream {
 
@@ -16,7 +17,6 @@ constexpr std::uint64_t kMuchBytes = std::uint64_t{1} << 15;  // since it last s
 constexpr std::size_t kMaxHelloPages = 6000;                  // of a message that may have 64 KiB
 constexpr std::size_t kMaxHeldItems = 1000;
 constexpr std::int64_t kRests = 10;
-constexpr std::size_t kMaxPictureBytes = std::size_t{1} << 27;
 
 bool is_due(const std::optional<std::int64_t>& last_ns, std::int64_t every_ns, std::int64_t now_ns) {
   return !last_ns || now_ns - *last_ns >= every_ns;
@@ -79,7 +79,7 @@ void Follower::take_probe_picture(const ParsedPacket& packet, std::int64_t now_n
                      .arrived_ns = now_ns,
                      .rgba = {}};
   const std::size_t bytes = std::size_t{answer.camera.width} * answer.camera.height * 4;
-  if (bytes > kMaxPictureBytes || body.raw_bytes() != bytes) {
+  if (!is_picture_size(answer.camera.width, answer.camera.height, false) || body.raw_bytes() != bytes) {
     throw StreamError(fmt::format("ProbePicture: {} bytes for {} x {} pixels", body.raw_bytes(), answer.camera.width,
                                   answer.camera.height));
   }

@@ -10,13 +10,10 @@
 namespace splatbus {
 
 // Between wire structs and our types. The from_wire functions throw std::runtime_error on values that make no sense
-// (NaN or infinity, pictures without pixels or wider than 16384, a quaternion or sun direction that is not near unit,
+// (NaN or infinity, pictures that picture_size.h has no room for, a quaternion or sun direction that is not near unit,
 // spherical harmonics of another length than 27, an object or a light twice, more than kMaxLightSources of them, a
 // scale, a range or a cone that is none), naming the field. What is near unit is normalised. On the wire a light's
 // coefficients lie colour by colour, in Light coefficient by coefficient.
-
-/// Largest width and height of a camera.
-inline constexpr std::uint32_t kMaxPictureSide = 16384;
 
 [[nodiscard]] wire::Vec3 to_wire(const glm::vec3& v);
 [[nodiscard]] wire::Rigid to_wire(const Rigid& rigid);

@@ -28,9 +28,8 @@ using namespace std::chrono_literals;
 constexpr auto kReceiveTimeout = 50ms;
 constexpr std::size_t kRingSlots = 8;
 constexpr std::int64_t kAloneNs = 2'000'000'000;  // without a word of who else is there, until it computes everything
-constexpr std::uint32_t kMaxSide = 16384;
-constexpr std::size_t kMaxReady = 8;      // versions that are kept for a model whose structure changes
-constexpr std::size_t kMaxWaiting = 256;  // versions whose maps have not come
+constexpr std::size_t kMaxReady = 8;              // versions that are kept for a model whose structure changes
+constexpr std::size_t kMaxWaiting = 256;          // versions whose maps have not come
 
 bool has_light(const Light& light, std::uint32_t id) {
   return id == 0 || std::ranges::count(light.sources, id, &LightSource::id) > 0;
@@ -127,9 +126,8 @@ void Relight::take_scene(const wire::SceneState& scene, bool pictured) {
 
 void Relight::take_depth(const wire::SceneLightDepth& depth, const bus::Message& message) {
   const Camera camera = from_wire(*depth.camera());
-  if (camera.role != CameraRole::Light || camera.width > kMaxSide || camera.height > kMaxSide) {
-    throw bus::Error(message.topic() + ": its camera is no light camera of at most " + std::to_string(kMaxSide) +
-                     " texels a side");
+  if (camera.role != CameraRole::Light) {
+    throw bus::Error(message.topic() + ": its camera is no light camera");
   }
   const MapRing::Key key = MapRing::key_of(depth);
   take_scene(*depth.scene(), false);

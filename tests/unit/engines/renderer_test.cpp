@@ -202,7 +202,7 @@ TEST(Renderer, CamerasOutOfBoundsAreRefusedByName) {
   using testing::HasSubstr;
   EXPECT_THAT(words([](auto& c) { c.width = 100000; }),
               testing::AllOf(HasSubstr("camera 31"), HasSubstr("100000 x 96")));
-  EXPECT_THAT(words([](auto& c) { c.width = c.height = 4000; }), HasSubstr("out of bounds"));
+  EXPECT_THAT(words([](auto& c) { c.width = c.height = 4097; }), HasSubstr("out of bounds"));
   EXPECT_THAT(words([](auto& c) { c.fx = 0; }), HasSubstr("fx"));
   EXPECT_THAT(words([](auto& c) { c.near_m = 0; }), HasSubstr("near_m"));
   EXPECT_THAT(words([](auto& c) { c.world_from_camera.translation[2] = NAN; }), HasSubstr("pose"));

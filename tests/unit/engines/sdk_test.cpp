@@ -4,6 +4,8 @@
 #include <array>
 #include <thread>
 
+#include "../bus/log_capture.h"
+#include "bus/clock.h"
 #include "c_engine.h"
 #include "sdk_fixture.h"
 
@@ -96,6 +98,46 @@ TEST_F(SdkTest, RequestsThatMakeNoSenseAreLeftOut) {
   const auto taken = wait_for_change(engine.get());
   ASSERT_EQ(taken.size(), 1U);
   EXPECT_EQ(taken[0].camera.id, 44U);
+}
+
+/// Any peer may send them, as fast as it likes.
+TEST_F(SdkTest, OfRequestsThatMakeNoSenseOneLineASecondIsSaid) {
+  std::vector<Request> requests(100, Request{.camera = small_camera(1)});
+  for (Request& request : requests) request.camera.width = 8193;
+  requests.back().camera = small_camera(44);
+  const bus_test::LogCapture log;
+  const auto context = connect("tester");
+  const bus::Publisher cameras(context);
+  const Engine engine = open();
+  const std::int64_t begin = bus::now_ns();
+  for (std::uint64_t set = 1; set <= 20; ++set) {
+    requests.back().id = set;
+    publish_requests(cameras, requests);
+    ASSERT_EQ(wait_for_change(engine.get()).size(), 1U);
+  }
+  const auto seconds = (bus::now_ns() - begin) / 1'000'000'000;
+  EXPECT_LE(log.lines(), 1 + seconds);
+  EXPECT_THAT(log.text(), testing::HasSubstr("engine/cameras from tester: 99 of its requests left out: camera 1"));
+  EXPECT_THAT(log.text(), testing::HasSubstr("8193 x 6 pixels"));
+}
+
+TEST_F(SdkTest, APictureHasTheSizesThatEverybodyTakes) {
+  const auto context = connect("tester");
+  const bus::Publisher cameras(context);
+  const Engine engine = open();
+  std::vector<Request> requests(4, Request{.camera = small_camera(1)});
+  requests[0].camera.width = 8192;
+  requests[0].camera.height = 2048;
+  requests[1].camera.width = 8192;
+  requests[1].camera.height = 2049;
+  requests[2].camera.width = requests[2].camera.height = 8192;
+  requests[2].camera.role = SPLATBUS_ROLE_LIGHT;
+  requests[3].camera.height = 8193;
+  publish_requests(cameras, requests);
+  const auto taken = wait_for_change(engine.get());
+  ASSERT_EQ(taken.size(), 2U);
+  EXPECT_EQ(taken[0].camera.height, 2048U);
+  EXPECT_EQ(taken[1].camera.role, std::uint32_t{SPLATBUS_ROLE_LIGHT});
 }
 
 TEST_F(SdkTest, LightRequestsNeedOnlyASize) {
