@@ -11,6 +11,7 @@
 
 #include "bus/error.h"
 #include "bus/file_descriptor.h"
+#include "bus/schemes.h"
 
 namespace splatbus::bus {
 
@@ -34,6 +35,25 @@ void require_private_folder(const std::string& folder) {
   // Not somebody's home or a folder that many share, named by mistake.
   const bool of_a_bus = fs::is_empty(folder, ignored) || fs::exists(folder + "/lock", ignored);
   if (!of_a_bus || ::fchmod(fd.get(), 0700) != 0) refuse("others may enter it: its mode must be 0700");
+}
+
+void require_own_endpoint(const std::string& endpoint) {
+  if (!endpoint.starts_with(ipc_scheme)) return;
+  const auto refuse = [&](const std::string& why) { throw Error(fmt::format("{}: {}", endpoint, why)); };
+  const std::string path = endpoint.substr(ipc_scheme.size());
+  if (path.starts_with('@')) refuse("whose a name without a folder is cannot be said");
+  const fs::path parent = fs::path(path).parent_path();
+  const std::string folder = parent.empty() ? "." : parent.string();
+  if (::mkdir(folder.c_str(), 0700) != 0 && errno != EEXIST) {
+    refuse(fmt::format("cannot make its folder: {}", std::strerror(errno)));
+  }
+  struct stat status {};
+  if (::stat(folder.c_str(), &status) != 0 || !S_ISDIR(status.st_mode)) refuse("it is in no folder");
+  if (status.st_uid != ::geteuid()) refuse(fmt::format("its folder belongs to another user ({})", status.st_uid));
+  if ((status.st_mode & 022U) != 0) refuse("others may write to its folder: chmod go-w it");
+  if (::lstat(path.c_str(), &status) == 0 && status.st_uid != ::geteuid()) {
+    refuse(fmt::format("it belongs to another user ({})", status.st_uid));
+  }
 }
 
 void require_own_peer(int socket, const std::string& what) {

@@ -13,6 +13,15 @@ namespace splatbus::bus {
 /// others, or is no folder (a link).
 void require_private_folder(const std::string& folder);
 
+/// Makes sure that only this user can be at the other end of an ipc endpoint: its folder, which is made with mode 0700
+/// when it is missing, is this user's, nobody else may write to it, and what is at the path already is this user's too.
+/// Throws Error naming the endpoint. Of other transports it knows nothing.
+void require_own_endpoint(const std::string& endpoint);
+
+/// libzmq's ZMQ_IPC_FILTER_UID, which its header does not always name: a socket that is bound over ipc afterwards takes
+/// that user's connections and no others.
+inline constexpr int kIpcFilterUid = 59;
+
 /// Throws Error when the process at the other end of a connected Unix socket is another user's.
 void require_own_peer(int socket, const std::string& what);
 
