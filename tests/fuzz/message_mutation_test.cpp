@@ -3,7 +3,6 @@
 // reads what it must not.
 #include <gtest/gtest.h>
 
-#include <atomic>
 #include <filesystem>
 #include <fstream>
 #include <functional>
@@ -84,7 +83,7 @@ class Mutation : public testing::Test {
     try {
       (void)bus_service::inline_slab_tensors(
           frames, [&](std::uint64_t id) { return id == slab_id ? slab_ : nullptr; },
-          std::make_shared<std::atomic<std::uint64_t>>(0));
+          bus_service::UnsentBytes(std::size_t{1} << 30));
     } catch (const bus::Error&) {
       ++refused_;
     }

@@ -56,7 +56,7 @@ SPLATBUS_FUZZ_TARGET(bus_message, bytes) {
   // Where tables overlap, aiming spoils more than spans.
   if (aims) aim(frames.body);
   if (bus::verified_header(frames.body, why) == nullptr) return;
-  const auto unsent = std::make_shared<std::atomic<std::size_t>>(0);
+  const splatbus::bus_service::UnsentBytes unsent(std::size_t{1} << 30);
   try {
     const auto inlined = splatbus::bus_service::inline_slab_tensors(
         frames, [](std::uint64_t id) { return id == kSlab ? slab() : nullptr; }, unsent);
