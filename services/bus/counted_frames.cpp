@@ -11,7 +11,8 @@ using Counter = std::shared_ptr<std::atomic<std::size_t>>;
 /// What a frame's bytes lie in, and the count of them.
 template <class Memory>
 struct Counted {
-  Counted(Counter bytes_of, std::size_t size, Memory of) : counter(std::move(bytes_of)), bytes(size), memory(std::move(of)) {
+  Counted(Counter bytes_of, std::size_t size, Memory of)
+      : counter(std::move(bytes_of)), bytes(size), memory(std::move(of)) {
     *counter += bytes;
   }
   ~Counted() { *counter -= bytes; }
@@ -26,8 +27,10 @@ struct Counted {
 template <class Memory>
 zmq::message_t counted_frame(void* data, std::unique_ptr<Counted<Memory>> counted) {
   const std::size_t bytes = counted->bytes;
-  return zmq::message_t(
-      data, bytes, [](void*, void* hint) { delete static_cast<Counted<Memory>*>(hint); }, counted.release());
+  const auto release = [](void*, void* hint) {
+    const std::unique_ptr<Counted<Memory>> owned(static_cast<Counted<Memory>*>(hint));
+  };
+  return zmq::message_t(data, bytes, release, counted.release());
 }
 
 zmq::message_t shared(const zmq::message_t& frame) {

@@ -140,8 +140,8 @@ TEST_F(HostileQueues, WhoSubscribesToEverythingTakesNobodysPlace) {
 std::string heartbeat(const std::string& source, const std::string& service) {
   flatbuffers::FlatBufferBuilder builder;
   builder.ForceDefaults(true);
-  const auto header = wire::CreateHeaderDirect(builder, std::string(topics::kHeartbeat.schema).c_str(), source.c_str(), 1,
-                                               1, 0, 0, 0, true, source.c_str());
+  const auto header = wire::CreateHeaderDirect(builder, std::string(topics::kHeartbeat.schema).c_str(), source.c_str(),
+                                               1, 1, 0, 0, 0, true, source.c_str());
   builder.Finish(wire::CreateHeartbeatDirect(builder, header, service.c_str(), 1, wire::ServiceState::Running));
   return {reinterpret_cast<const char*>(builder.GetBufferPointer()), builder.GetSize()};
 }

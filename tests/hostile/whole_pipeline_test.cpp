@@ -39,7 +39,7 @@ constexpr std::size_t kGrowth = 64 * kMiB, kLogBytes = kMiB;
 
 std::chrono::milliseconds attack_time() {
   const char* const seconds = std::getenv("SPLATBUS_HOSTILE_SECONDS");
-  return std::chrono::milliseconds(static_cast<int>(1000 * (seconds == nullptr ? 6 : std::atof(seconds))));
+  return std::chrono::milliseconds(static_cast<int>(1000 * (seconds == nullptr ? 6 : std::strtod(seconds, nullptr))));
 }
 
 struct Ports {
