@@ -149,9 +149,11 @@ class StreamModel {
 
   [[nodiscard]] EncodedPacket layout_packet() const;
   /// The page as it is now, in parts of `part_lanes` (a multiple of kBlockRows); nothing when it is no more. A
-  /// version's blob is encoded once.
-  [[nodiscard]] std::vector<PagePacket> page_packets(std::uint32_t page, std::uint32_t part_lanes = kPageLanes);
-  /// Which pages there are: those of `pages`. `gaussians`: in all pages, where others have some that are not in here.
+  /// version's blob is encoded once. `to_hold`: for somebody who holds it from now on, before set_holders() says so.
+  [[nodiscard]] std::vector<PagePacket> page_packets(std::uint32_t page, std::uint32_t part_lanes = kPageLanes,
+                                                     bool to_hold = true);
+  /// Which pages there are: those of `pages`. Their bytes are those of the blob where it has been encoded. `gaussians`:
+  /// in all pages, where others have some that are not in here.
   [[nodiscard]] std::vector<EncodedPacket> manifest_packets(std::span<const OfferedPage> pages,
                                                             std::span<const std::uint32_t> gone, bool whole,
                                                             std::optional<std::size_t> gaussians = {}) const;
@@ -274,6 +276,8 @@ class StreamModel {
   Difference take_columns(std::uint32_t first, std::uint32_t count, std::size_t from);
   void vacate(const IndexRange& range);
   void cut_target(const GaussiansView& gaussians, std::span<const IndexRange> ranges);
+  /// Of a page at that version, where it is encoded. Under the lock.
+  [[nodiscard]] std::optional<std::size_t> blob_bytes(const OfferedPage& page) const;
   [[nodiscard]] const TargetPage* find_target(std::uint32_t page) const;
   [[nodiscard]] KnownPage& known(std::uint32_t page);
   [[nodiscard]] bool is_settled(std::uint32_t page) const { return page < known_.size() && known_[page].settled; }

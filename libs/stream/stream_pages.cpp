@@ -61,7 +61,7 @@ EncodedPacket StreamModel::layout_packet() const {
   });
 }
 
-std::vector<PagePacket> StreamModel::page_packets(std::uint32_t number, std::uint32_t part_lanes) {
+std::vector<PagePacket> StreamModel::page_packets(std::uint32_t number, std::uint32_t part_lanes, bool to_hold) {
   QuantizedGaussians lanes;
   HeldPage page;
   std::map<std::uint32_t, Bytes> seen;  // by light
@@ -76,7 +76,7 @@ std::vector<PagePacket> StreamModel::page_packets(std::uint32_t number, std::uin
     lanes = held_.lanes(page);
     layout = held_.layout;
     epoch = held_.epoch;
-    asked_.insert(number);
+    if (to_hold) asked_.insert(number);
     if (const AttributeChannels* sun = layout.find(Attribute::Visibility)) {
       std::vector<std::int32_t>& plane = lanes.channels[static_cast<std::size_t>(sun->first)];
       seen[0].assign(plane.begin(), plane.end());
@@ -128,26 +128,45 @@ std::vector<PagePacket> StreamModel::page_packets(std::uint32_t number, std::uin
   return out;
 }
 
+// In one part, or in all of the blocks that it has.
+std::optional<std::size_t> StreamModel::blob_bytes(const OfferedPage& page) const {
+  const auto found = blobs_.find(page.page);
+  if (found == blobs_.end() || found->second.version != page.version) return std::nullopt;
+  const auto& parts = found->second.parts;
+  if (const auto whole = parts.find({0, page.count}); whole != parts.end()) return whole->second->size();
+  std::size_t bytes = 0;
+  for (std::uint32_t first = 0; first < page.count; first += kBlockRows) {
+    const auto part = parts.find({first, std::min(kBlockRows, page.count - first)});
+    if (part == parts.end()) return std::nullopt;
+    bytes += part->second->size();
+  }
+  return bytes;
+}
+
 std::vector<EncodedPacket> StreamModel::manifest_packets(std::span<const OfferedPage> pages,
                                                          std::span<const std::uint32_t> gone, bool whole,
                                                          std::optional<std::size_t> gaussians) const {
   std::vector<EncodedPacket> out;
   const Status now = status();
-  const double bytes_per_gaussian = [&] {
+  std::vector<std::size_t> bytes;
+  bytes.reserve(pages.size());
+  {
     const std::scoped_lock lock(mutex_);
-    return appended_bytes_;
-  }();
+    for (const OfferedPage& page : pages) {
+      bytes.push_back(blob_bytes(page).value_or(static_cast<std::size_t>(page.count * appended_bytes_)));
+    }
+  }
   std::size_t first = 0;
   do {
     const auto part = pages.subspan(first, std::min(kManifestPages, pages.size() - first));
-    first += part.size();
     std::vector<wire::PageInfo> infos;
     for (const OfferedPage& page : part) {
+      const std::size_t all = bytes[first + infos.size()];
       const wire::PageBox box(to_wire(page.bounds.low), to_wire(page.bounds.high), page.bounds.max_scale_m);
-      infos.emplace_back(page.page, page.version, page.count,
-                         static_cast<std::uint32_t>(page.count * bytes_per_gaussian), page.object_id, box, page.level,
-                         page.frozen, static_cast<std::uint8_t>(options_.codec));
+      infos.emplace_back(page.page, page.version, page.count, static_cast<std::uint32_t>(all), page.object_id, box,
+                         page.level, page.frozen, static_cast<std::uint8_t>(options_.codec));
     }
+    first += part.size();
     out.push_back(writer_.write(now.epoch, 0, wire::Body::Manifest, [&](auto& builder) {
       const auto pages_at = builder.CreateVectorOfStructs(infos);
       const auto gone_at = out.empty() ? builder.CreateVector(gone.data(), gone.size()) : 0;

@@ -15,6 +15,8 @@
 #include "bus/error.h"
 #include "bus/private_folder.h"
 #include "stream/bytes.h"
+#include "stream/relay_client.h"
+#include "streamer/peer_address.h"
 
 namespace splatbus::streamer {
 
@@ -22,7 +24,7 @@ namespace {
 
 constexpr std::string_view kIpc = "ipc://";
 constexpr int kMessagesACall = 256;   // that are none, before others get their turn
-constexpr std::size_t kMaxParts = 3;  // a relay's rights frame, packet, payload
+constexpr std::size_t kMaxParts = 4;  // a relay's frames of rights and client, packet, payload
 constexpr int kHeartbeatMs = 1000;
 constexpr int kHeartbeatTimeoutMs = 5000;
 constexpr int kHandshakeMs = 5000;
@@ -92,6 +94,9 @@ Endpoint::Endpoint(const std::vector<std::string>& endpoints, const EndpointOpti
 std::string Endpoint::bind(const std::string& endpoint) {
   if (endpoint.starts_with(kIpc)) {
     const std::string path = endpoint.substr(kIpc.size());
+    bus::require_own_endpoint(endpoint);
+    const ::uid_t user = ::geteuid();
+    zmq_setsockopt(socket_.handle(), bus::kIpcFilterUid, &user, sizeof(user));
     locks_.emplace_back(path, lock_beside(path));
   }
   bus::bind_patiently(endpoint, [&] {
@@ -103,8 +108,7 @@ std::string Endpoint::bind(const std::string& endpoint) {
 
 void Endpoint::require_intact() const {
   for (const auto& [path, lock] : locks_) {
-    if (!path.starts_with('@') && ::access(path.c_str(), F_OK) != 0)
-      throw bus::Error(fmt::format("ipc://{}: it was removed", path));
+    if (::access(path.c_str(), F_OK) != 0) throw bus::Error(fmt::format("ipc://{}: it was removed", path));
   }
 }
 
@@ -159,9 +163,19 @@ std::optional<Endpoint::Received> Endpoint::parse(const Peer& peer, const std::v
       guard_->close(frames[0], "its key is not allowed to view");
       return std::nullopt;
     }
+    PeerAddress address = frames.empty() ? PeerAddress() : peer_address(frames[0]);
+    const bool has_key = !frames.empty() && !bus::sender_key(frames[0]).empty();
+    const bool is_service = address.is_local || (has_key && rights.control);
     if (frames.size() > 1) {
       if (const auto relayed = bus::parse_rights_frame(frames[0].to_string_view())) {
         rights = rights & *relayed;
+        frames = frames.subspan(1);
+      }
+    }
+    if (frames.size() > 1) {
+      // Whoever else names clients might name as many as it likes.
+      if (const auto client = stream::parse_client_frame(frames[0].to_string_view())) {
+        if (is_service) address.text = stream::client_frame(*client);
         frames = frames.subspan(1);
       }
     }
@@ -169,7 +183,9 @@ std::optional<Endpoint::Received> Endpoint::parse(const Peer& peer, const std::v
     return Received{.peer = peer,
                     .packet = stream::ParsedPacket::parse(
                         bytes_of(frames[0]), frames.size() > 1 ? bytes_of(frames[1]) : std::span<const std::uint8_t>()),
-                    .rights = rights};
+                    .rights = rights,
+                    .address = std::move(address.text),
+                    .is_service = is_service};
   } catch (const std::exception& error) {
     ++malformed_;
     if (log_limiter_.allow()) spdlog::warn("a viewer sent what is no packet: {}", error.what());

@@ -33,8 +33,9 @@ class Endpoint {
 
   static constexpr std::int64_t kMaxFrameBytes = 65536;  ///< from a viewer
 
-  /// Binds `endpoints`. An ipc path is held by a lock file beside it, since a second bind would silently steal it.
-  /// Throws bus::Error naming the endpoint and what is wrong: it is neither ipc nor tcp, is taken, or needs a key.
+  /// Binds `endpoints`. An ipc path is held by a lock file beside it, since a second bind would silently steal it, and
+  /// takes this user's processes only. Throws bus::Error naming the endpoint and what is wrong: it is neither ipc nor
+  /// tcp, is taken, needs a key, or lies where another user might have put it.
   explicit Endpoint(const std::vector<std::string>& endpoints, const EndpointOptions& options = {});
 
   /// `sequence`: this peer's number of the packet; 0: as it was written.
@@ -44,6 +45,10 @@ class Endpoint {
     Peer peer;
     stream::ParsedPacket packet;
     bus::Rights rights = bus::Rights::all();  ///< of this connection
+    /// What bounds for one address hold for: the sender's, or the one that a service names as its client's; empty: a
+    /// process of this user's own.
+    std::string address{};
+    bool is_service = true;  ///< a process of this user's, or one whose key may control
   };
   /// The next packet, without waiting; null too after many messages that were none. What is no Packet is counted,
   /// logged at most once a second, and skipped; so is what somebody sends whose key may not view (any more), and that

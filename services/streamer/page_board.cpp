@@ -63,7 +63,7 @@ const stream::OfferedPage* PageBoard::find(std::uint32_t page) const {
   return found != offered_->end() && found->page == page ? &*found : nullptr;
 }
 
-std::shared_ptr<const SharedPage> PageBoard::page(std::uint32_t number, bool in_parts) {
+std::shared_ptr<const SharedPage> PageBoard::page(std::uint32_t number, bool in_parts, bool to_hold) {
   const bool of_others = is_of_others(number);
   if (const stream::OfferedPage* small = find(number); of_others && small && small->count <= stream::kBlockRows) {
     in_parts = false;  // it is one
@@ -76,7 +76,7 @@ std::shared_ptr<const SharedPage> PageBoard::page(std::uint32_t number, bool in_
   auto page = std::make_shared<SharedPage>();
   std::size_t bytes = 0;
   for (const stream::PagePacket& part :
-       model_.page_packets(number, in_parts ? stream::kBlockRows : splatbus::kPageLanes)) {
+       model_.page_packets(number, in_parts ? stream::kBlockRows : splatbus::kPageLanes, to_hold)) {
     page->version = part.version;
     page->structure = part.structure;
     page->parts.push_back(std::make_shared<WirePacket>(part.packet));
@@ -85,6 +85,25 @@ std::shared_ptr<const SharedPage> PageBoard::page(std::uint32_t number, bool in_
   if (page->parts.empty()) return {};
   learn_bytes(number, bytes);
   return pages_[{number, in_parts}] = std::move(page);
+}
+
+const std::vector<SharedPacket>& PageBoard::manifest() {
+  if (manifest_.empty() || manifest_edition_ != edition_) {
+    manifest_edition_ = edition_;
+    manifest_.clear();
+    for (const auto& packet : manifest_packets(*offered_, {}, true)) {
+      manifest_.push_back(std::make_shared<WirePacket>(packet));
+    }
+  }
+  return manifest_;
+}
+
+SharedPacket PageBoard::layout() {
+  if (!layout_ || layout_edition_ != edition_) {
+    layout_edition_ = edition_;
+    layout_ = std::make_shared<WirePacket>(model_.layout_packet());
+  }
+  return layout_;
 }
 
 void PageBoard::learn_bytes(std::uint32_t page, std::size_t bytes) {

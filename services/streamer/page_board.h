@@ -61,8 +61,8 @@ class PageBoard {
   [[nodiscard]] std::uint64_t edition() const { return edition_; }
 
   /// As the model has it now; null when it is no more, or another replica's that has not come yet: then it is asked
-  /// for. In one part, or in parts of stream::kBlockRows lanes.
-  [[nodiscard]] std::shared_ptr<const SharedPage> page(std::uint32_t page, bool in_parts);
+  /// for. In one part, or in parts of stream::kBlockRows lanes. `to_hold`: for somebody who goes on with it by deltas.
+  [[nodiscard]] std::shared_ptr<const SharedPage> page(std::uint32_t page, bool in_parts, bool to_hold = true);
   /// How a page sees each light, the same; empty where page() would be null.
   [[nodiscard]] std::vector<SharedPacket> page_visibility(std::uint32_t page);
   [[nodiscard]] bool is_of_others(std::uint32_t page) const;
@@ -75,6 +75,10 @@ class PageBoard {
                                                                     bool whole) const {
     return model_.manifest_packets(pages, gone, whole, gaussians_);
   }
+
+  /// Of all of them, and the Layout: made once an edition, for whoever asks.
+  [[nodiscard]] const std::vector<SharedPacket>& manifest();
+  [[nodiscard]] SharedPacket layout();
 
   /// Another replica's answer; what nobody here wanted, or has become older than what is offered, is not taken.
   void take(ShareAnswer answer);
@@ -101,6 +105,9 @@ class PageBoard {
   std::shared_ptr<const std::vector<stream::OfferedPage>> offered_ =
       std::make_shared<std::vector<stream::OfferedPage>>();
   std::deque<SharedDelta> deltas_;
+  std::vector<SharedPacket> manifest_;
+  SharedPacket layout_;
+  std::uint64_t manifest_edition_ = 0, layout_edition_ = 0;
   std::map<std::pair<std::uint32_t, bool>, std::shared_ptr<const SharedPage>> pages_;
 
   struct Wanted {

@@ -48,8 +48,8 @@ void Options::bind(bus::ParameterBinder& p) {
   p.add("budget_kbps", budget_kbps,
         "rate for new Gaussians and changes of held pages, encoded once for all viewers, kbit/s", {10, 1e7});
   p.add("viewer_kbps", hub.viewer_kbps,
-        "rate for one viewer, all but probe pictures; at most a tenth more in any second; 0: found from what arrives, "
-        "kbit/s",
+        "rate for one viewer, all but probe pictures, 100 or more; at most a tenth more in any second; 0: found from "
+        "what arrives, kbit/s",
         {0, 1e7});
   p.add("join_kbps", hub.join_kbps,
         "rate for one viewer until it has had all that it is to have, where that is more than viewer_kbps; 0: none, "
@@ -63,6 +63,10 @@ void Options::bind(bus::ParameterBinder& p) {
   p.add("calm_ticks", stream.calm_ticks, "ticks after which a resting value is sent to within one quantizer step",
         {1, 255}, kFixed);
   p.add("max_viewers", hub.max_viewers, "most viewers at a time", {1, 4096}, kFixed);
+  p.add("max_viewers_per_address", hub.max_viewers_per_address,
+        "most viewers at a time from one IPv4 address or IPv6 /64, or behind it at a gateway; not of this user's own "
+        "processes",
+        {1, 4096}, kFixed);
   p.add("viewer_timeout_s", hub.viewer_timeout_s,
         "time after which a viewer that neither sends nor reads is forgotten, s", {0.1, 3600}, kFixed);
   p.add("history_mb", hub.history_bytes, "memory for deltas kept for viewers that lag, MiB", {0, 1024}, kFixed,

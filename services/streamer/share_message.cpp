@@ -34,6 +34,15 @@ PageBounds bounds_of(const wire::PageBox& box) {
   return sound ? bounds : PageBounds{};
 }
 
+// What is asked of a page, such as whose it is, is remembered by its number.
+bool is_page(std::uint32_t number) {
+  return number < stream::kMaxPageNumber;
+}
+
+void require_page(std::uint32_t number) {
+  if (!is_page(number)) refuse(fmt::format("page {}", number));
+}
+
 /// Whether there is a place for the number that each viewer has for it.
 bool has_sequence(const wire::Packet& packet) {
   return reinterpret_cast<const flatbuffers::Table*>(packet.header())->CheckField(wire::Header::VT_SEQUENCE);
@@ -59,7 +68,7 @@ std::vector<stream::OfferedPage> read_pages(const wire::StreamShare& body) {
     const bool ascends = pages.empty() || pages.back().page < page.page();
     const bool sound = page.count() > 0 && page.count() <= kPageLanes && page.version() > 0 &&
                        page.version() <= body.version() && page.structure() <= page.version();
-    if (!ascends || !sound || page.page() >= stream::kMaxPageNumber) {
+    if (!ascends || !sound || !is_page(page.page())) {
       refuse(fmt::format("page {} at {} of {} Gaussians", page.page(), page.version(), page.count()));
     }
     pages.push_back({.page = page.page(),
@@ -80,6 +89,7 @@ ShareMessage::Viewers read_viewers(const wire::StreamShare& body) {
   if (!std::isfinite(viewers.bytes_per_s) || viewers.bytes_per_s < 0) refuse("no rate");
   if (body.held()) {
     if (body.held()->size() > kMaxSharePages) refuse(fmt::format("{} pages held", body.held()->size()));
+    for (const std::uint32_t page : *body.held()) require_page(page);
     viewers.held = {body.held()->begin(), body.held()->end()};
   }
   if (body.cameras()) {
@@ -97,7 +107,8 @@ stream::DeltaPacket read_delta(const wire::PageDelta& delta, const wire::SharePa
   for (std::size_t k = 0; k < count; ++k) {
     const wire::PageStep& step = *delta.steps()->Get(static_cast<flatbuffers::uoffset_t>(k));
     const float steps = wired.steps()->Get(static_cast<flatbuffers::uoffset_t>(k));
-    const bool sound = step.removed() <= step.count() && step.count() <= kPageLanes && step.appended() <= kPageLanes &&
+    const bool sound = is_page(step.page()) && is_page(step.base()) && step.removed() <= step.count() &&
+                       step.count() <= kPageLanes && step.appended() <= kPageLanes &&
                        step.from_version() < step.version() && step.version() <= newest && std::isfinite(steps) &&
                        steps >= 0;
     if (!sound) refuse(fmt::format("a step of page {}", step.page()));
@@ -111,7 +122,10 @@ stream::DeltaPacket read_delta(const wire::PageDelta& delta, const wire::SharePa
   }
   if (delta.gone()) {
     if (delta.gone()->size() > stream::kMaxDeltaPages) refuse("more pages end than may be");
-    for (const wire::PageVersion* page : *delta.gone()) out.gone.push_back({page->page(), page->version()});
+    for (const wire::PageVersion* page : *delta.gone()) {
+      require_page(page->page());
+      out.gone.push_back({page->page(), page->version()});
+    }
   }
   return out;
 }
@@ -119,7 +133,10 @@ stream::DeltaPacket read_delta(const wire::PageDelta& delta, const wire::SharePa
 std::vector<wire::SeenPage> seen_pages(const wire::LightVisibility& visibility) {
   if (visibility.pages()->size() > stream::kMaxDeltaPages) refuse("visibility of more pages than may be");
   std::vector<wire::SeenPage> pages;
-  for (const wire::SeenPage* page : *visibility.pages()) pages.push_back(*page);
+  for (const wire::SeenPage* page : *visibility.pages()) {
+    require_page(page->page());
+    pages.push_back(*page);
+  }
   return pages;
 }
 
@@ -129,6 +146,7 @@ class Answers {
   explicit Answers(std::uint32_t newest) : newest_(newest) {}
 
   void add(const wire::Page& page, stream::EncodedPacket packet) {
+    require_page(page.page());
     const bool begins = page.first() == 0;
     if (begins) begin({page.page(), page.part() == page.count() ? wire::SharePart::Whole : wire::SharePart::Parts});
     ShareAnswer* answer = open_;
@@ -146,6 +164,7 @@ class Answers {
   }
   void add(const wire::LightVisibility& visibility, stream::EncodedPacket packet) {
     if (visibility.pages()->size() != 1) refuse("visibility of one page was wanted");
+    require_page(visibility.pages()->Get(0)->page());
     const ShareWant what{visibility.pages()->Get(0)->page(), wire::SharePart::Visibility};
     if (!open_ || open_->what != what) begin(what);
     open_->structure = visibility.pages()->Get(0)->structure();
@@ -227,6 +246,7 @@ ShareMessage read_share(const wire::StreamShare& body) {
     if (body.wants()->size() > kMaxShareWants) refuse(fmt::format("{} wants", body.wants()->size()));
     for (const wire::ShareWant* want : *body.wants()) {
       if (want->part() > wire::SharePart::MAX) refuse("a part that is none");
+      require_page(want->page());
       message.wants.push_back({want->page(), want->part()});
     }
   }

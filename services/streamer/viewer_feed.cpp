@@ -10,6 +10,8 @@ namespace {
 
 constexpr double kReserve = 0.1;          // of the burst: for scenes
 constexpr double kVisibilityShare = 0.3;  // of the rate
+// Of the rate, that a second has of pages and deltas, and of all that is asked here; a moment is for what goes beside.
+constexpr double kPagesOfASecond = 1.05, kMostOfASecond = 1.09;
 
 }  // namespace
 
@@ -78,6 +80,9 @@ bool ViewerFeed::affords(Kind kind, const SharedPacket& packet, std::int64_t now
   const bool first = kind == Kind::Scene || kind == Kind::Control || kind == Kind::News || kind == Kind::Gone;
   const double wanted = static_cast<double>(packet->bytes()) + (first ? 0 : kReserve * burst);
   if (there < std::min(wanted, 0.999 * burst)) return false;
+  if (!rate_.second_has_room(static_cast<double>(packet->bytes()), first ? kMostOfASecond : kPagesOfASecond, now_ns)) {
+    return false;
+  }
   if (!rate_.has_room(static_cast<double>(packet->bytes()), now_ns)) return false;
   offered_ = kind;
   packet_ = packet;
@@ -102,9 +107,8 @@ SharedPacket ViewerFeed::choose(stream::StreamModel& model, PageBoard& board, co
     return affords(kind, packet, now_ns) ? packet : SharedPacket();
   };
   if (control_.empty() && std::exchange(manifest_is_due_, false)) {
-    for (const auto& packet : board.manifest_packets(board.offered(), {}, true)) {
-      control_.push_back(std::make_shared<WirePacket>(packet));
-    }
+    const auto& manifest = board.manifest();
+    control_.insert(control_.end(), manifest.begin(), manifest.end());
   }
   if (!control_.empty()) return offer(Kind::Control, control_.front());
   if (!news_.empty()) return offer(Kind::News, news_.front());

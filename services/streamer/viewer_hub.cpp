@@ -32,15 +32,24 @@ void ViewerHub::say(const std::string& text) {
 }
 
 void ViewerHub::begin(Viewer& viewer, bool has_scene) {
-  std::vector<SharedPacket> packets{std::make_shared<WirePacket>(model_.layout_packet())};
+  std::vector<SharedPacket> packets{board_.layout()};
   if (!has_scene) {
     viewer.feed.drop_scenes();
-    if (auto scene = model_.scene_packet()) packets.push_back(std::make_shared<WirePacket>(*scene));
+    if (SharedPacket scene = whole_scene()) packets.push_back(std::move(scene));
   }
-  for (const auto& packet : board_.manifest_packets(board_.offered(), {}, true)) {
-    packets.push_back(std::make_shared<WirePacket>(packet));
-  }
+  const auto& manifest = board_.manifest();
+  packets.insert(packets.end(), manifest.begin(), manifest.end());
   viewer.feed.begin(std::move(packets));
+}
+
+// Made once for all who ask for it: who says often enough that it has lost it would keep us busy.
+SharedPacket ViewerHub::whole_scene() {
+  const std::uint64_t epoch = model_.status().epoch, version = model_.scene_version();
+  if (whole_scene_.packet && whole_scene_.epoch == epoch && whole_scene_.version == version) return whole_scene_.packet;
+  const auto scene = model_.scene_packet();
+  if (!scene) return {};
+  whole_scene_ = {epoch, version, std::make_shared<WirePacket>(*scene)};
+  return whole_scene_.packet;
 }
 
 void ViewerHub::add(stream::StreamUpdate update, BoardPages pages) {
@@ -64,15 +73,13 @@ void ViewerHub::add(stream::StreamUpdate update, BoardPages pages) {
 
 void ViewerHub::add_scene(const stream::EncodedPacket& packet) {
   const auto shared = std::make_shared<WirePacket>(packet);
-  SharedPacket whole;
   for (auto& [peer, viewer] : viewers_) {
     if (viewer.feed.scenes() < kMaxScenes) {
       viewer.feed.push_scene(shared);
       continue;
     }
-    if (!whole) whole = std::make_shared<WirePacket>(model_.scene_packet().value());
     viewer.feed.drop_scenes();
-    viewer.feed.push_scene(whole);
+    viewer.feed.push_scene(whole_scene());
   }
 }
 
@@ -136,7 +143,7 @@ bool ViewerHub::pump(std::int64_t now_ns) {
     waits = waits || !idle || viewer.feed.waits();
     if (sent == Endpoint::Sent::Gone) {
       say(fmt::format("viewer {} is gone", viewer.name));
-      remember(viewer);
+      remember(at->first, viewer, now_ns);
       at = viewers_.erase(at);
       if (viewers_.empty()) empty_since_ns_ = now_ns;
     } else {
@@ -179,14 +186,16 @@ void ViewerHub::expire(std::int64_t now_ns) {
       ++lost_viewers_;
       say(fmt::format("viewer {} {} nothing for {} s and is forgotten", viewer.name, silent ? "sent" : "read",
                       options_.viewer_timeout_s));
-      remember(viewer);
+      remember(entry.first, viewer, now_ns);
     }
     return silent || stuck;
   });
   if (gone > 0 && viewers_.empty()) empty_since_ns_ = now_ns;
 }
 
-void ViewerHub::remember(const Viewer& viewer) {
+void ViewerHub::remember(const Endpoint::Peer& peer, const Viewer& viewer, std::int64_t now_ns) {
+  book_.left(peer, viewer.address,
+             {.limits = viewer.limits, .spent = viewer.feed.rate().spent(), .posed_ns = viewer.posed_ns}, now_ns);
   former_.whole_pages += viewer.feed.whole_pages();
   former_.lost_packets += viewer.feed.lost_packets();
   former_.refused_pages += viewer.feed.refused_pages();

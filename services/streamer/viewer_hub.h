@@ -15,6 +15,7 @@
 #include "streamer/endpoint.h"
 #include "streamer/page_board.h"
 #include "streamer/page_readers.h"
+#include "streamer/peer_book.h"
 #include "streamer/peer_limits.h"
 #include "streamer/viewer_feed.h"
 #include "streamer/wire_statistics.h"
@@ -23,6 +24,7 @@ namespace splatbus::streamer {
 
 struct HubOptions {
   std::size_t max_viewers = 64;
+  std::size_t max_viewers_per_address = 32;  ///< not of this user's own processes
   std::size_t history_bytes = std::size_t{16} << 20;
   double viewer_timeout_s = 5;  ///< a viewer that sends nothing, or reads nothing, for so long is forgotten
   float tick_hz = 5;
@@ -114,7 +116,7 @@ class ViewerHub {
   struct Viewer {
     explicit Viewer(std::size_t max_gaussians) : feed(max_gaussians) {}
 
-    std::string name;
+    std::string name, address;
     bus::Rights rights;
     std::uint64_t connection = 0;
     GazeTracker gaze;
@@ -141,8 +143,11 @@ class ViewerHub {
   void answer_readers(std::int64_t now_ns);
   bool send_page(const Endpoint::Peer& peer, const stream::PageVersion& asked, std::uint64_t epoch);
   void begin(Viewer& viewer, bool has_scene);
-  /// Its counts, when it goes.
-  void remember(const Viewer& viewer);
+  [[nodiscard]] SharedPacket whole_scene();
+  /// Why somebody of that address may not be a viewer; empty: it may.
+  [[nodiscard]] std::string refusal_of(const std::string& address) const;
+  /// What is kept of it, when it goes.
+  void remember(const Endpoint::Peer& peer, const Viewer& viewer, std::int64_t now_ns);
   void set_rate(ViewerFeed& feed, std::int64_t now_ns) const;
   Endpoint::Sent send_next(const Endpoint::Peer& peer, Viewer& viewer, std::int64_t now_ns, bool& idle);
   Endpoint::Sent send(const Endpoint::Peer& peer, const WirePacket& packet, std::uint64_t sequence = 0);
@@ -166,7 +171,12 @@ class ViewerHub {
   std::deque<Waiting> waiting_;  ///< readers, for others' pages
   ObjectTransforms objects_;
   std::map<std::uint64_t, Probe> probes_;
-  bus::TokenBucket answers_{50, 50};  ///< to those who are nobody's
+  PeerBook book_;
+  struct WholeScene {
+    std::uint64_t epoch = 0, version = 0;
+    SharedPacket packet;
+  };
+  WholeScene whole_scene_;  ///< the newest that was asked for
   WireStatistics statistics_;
   Counts former_;  ///< of viewers that are gone
   std::uint64_t lost_viewers_ = 0, ignored_ = 0, connections_ = 0, camera_turn_ = 0;

@@ -46,7 +46,7 @@ stream::EncodedPacket ViewerHub::welcome(std::uint64_t connection) const {
 }
 
 void ViewerHub::handle(const Endpoint::Received& received, std::int64_t now_ns) {
-  const auto& [peer, packet, rights] = received;
+  const auto& [peer, packet, rights, address, is_service] = received;
   const wire::Packet& root = packet.root();
   const auto found = viewers_.find(peer);
   if (packet.body() == wire::Body::PageRequest) {
@@ -55,9 +55,10 @@ void ViewerHub::handle(const Endpoint::Received& received, std::int64_t now_ns) 
     return;
   }
   if (found == viewers_.end()) {
-    if (!answers_.take(1, now_ns)) {
+    const bool greets = packet.body() == wire::Body::Hello;
+    if (greets ? !book_.admits(peer, address, now_ns) : !book_.answers(peer, now_ns)) {
       ++ignored_;
-    } else if (packet.body() == wire::Body::Hello) {
+    } else if (greets) {
       hello(received, now_ns);
     } else if (packet.body() != wire::Body::Bye) {
       send(peer, WirePacket(welcome(0)));
@@ -93,7 +94,7 @@ void ViewerHub::handle(const Endpoint::Received& received, std::int64_t now_ns) 
       break;
     case wire::Body::Bye:
       say(fmt::format("viewer {} left", viewer.name));
-      remember(viewer);
+      remember(peer, viewer, now_ns);
       viewers_.erase(found);
       if (viewers_.empty()) empty_since_ns_ = now_ns;
       break;
@@ -144,26 +145,29 @@ void ViewerHub::take_held(Viewer& viewer, const wire::Held& held, std::int64_t n
   if (anew) {
     begin(viewer, false);
   } else if (held.scene_lost()) {
-    if (auto scene = model_.scene_packet()) {
+    if (SharedPacket scene = whole_scene()) {
       viewer.feed.drop_scenes();
-      viewer.feed.push_scene(std::make_shared<WirePacket>(*scene));
+      viewer.feed.push_scene(std::move(scene));
     }
   }
 }
 
 void ViewerHub::take_page_request(const Endpoint::Received& received, std::int64_t now_ns) {
-  const auto& [peer, packet, rights] = received;
+  const auto& [peer, packet, rights, address, is_service] = received;
   const wire::PageRequest& request = *packet.root().body_as_PageRequest();
   const std::size_t pages = request.pages() ? request.pages()->size() : 0;
   const std::size_t manifests = request.manifest() ? 1 + board_.offered().size() / 100 : 0;
-  if (!readers_.take(peer, static_cast<double>(pages + manifests), now_ns)) {
+  const auto wanted = static_cast<double>(pages + manifests);
+  const bool is_reader = is_service && rights.control;
+  if (is_reader ? !readers_.take(peer, wanted, now_ns)
+                : pages > PageReaders::kStrangersBurst || !readers_.take_as_stranger(address, wanted, now_ns)) {
     ++ignored_;
     return;
   }
   if (!model_.status().ready) return;
   if (request.manifest()) {
-    send(peer, WirePacket(model_.layout_packet()));
-    for (const auto& part : board_.manifest_packets(board_.offered(), {}, true)) send(peer, WirePacket(part));
+    send(peer, *board_.layout());
+    for (const SharedPacket& part : board_.manifest()) send(peer, *part);
   }
   std::vector<std::uint32_t> gone;
   for (std::size_t k = 0; k < pages; ++k) {
@@ -179,19 +183,34 @@ void ViewerHub::take_page_request(const Endpoint::Received& received, std::int64
   if (!gone.empty()) send(peer, WirePacket(model_.gone_packet(gone)));
 }
 
+std::string ViewerHub::refusal_of(const std::string& address) const {
+  if (viewers_.size() >= options_.max_viewers)
+    return fmt::format("{} viewers are all that are served", viewers_.size());
+  if (address.empty()) return {};
+  const auto its = static_cast<std::size_t>(
+      std::ranges::count_if(viewers_, [&](const auto& entry) { return entry.second.address == address; }));
+  if (its < options_.max_viewers_per_address) return {};
+  return fmt::format("{} viewers are all that one address has", its);
+}
+
 void ViewerHub::hello(const Endpoint::Received& received, std::int64_t now_ns) {
-  const auto& [peer, packet, rights] = received;
+  const auto& [peer, packet, rights, address, is_service] = received;
   const wire::Hello& body = *packet.root().body_as_Hello();
-  if (viewers_.size() >= options_.max_viewers) {
+  if (const std::string refusal = refusal_of(address); !refusal.empty()) {
     send(peer, WirePacket(writer_.write(model_.status().epoch, 0, wire::Body::Bye, [&](auto& builder) {
-           return wire::CreateByeDirect(builder,
-                                        fmt::format("{} viewers are all that are served", viewers_.size()).c_str());
+           return wire::CreateByeDirect(builder, refusal.c_str());
          })));
     return;
   }
   Viewer viewer(body.max_gaussians() != 0 ? body.max_gaussians() : stream::kMaxGaussians);
   viewer.name = bus::printable(body.viewer()->string_view());
+  viewer.address = address;
   viewer.rights = rights;
+  if (auto before = book_.take_leaver(peer, address, now_ns)) {
+    viewer.limits = before->limits;
+    viewer.posed_ns = before->posed_ns;
+    viewer.feed.rate().begin_with(std::move(before->spent));
+  }
   viewer.connection = ++connections_;
   viewer.wants_probes = body.probes();
   viewer.heard_ns = viewer.sent_ns = now_ns;

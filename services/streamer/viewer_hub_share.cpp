@@ -43,7 +43,7 @@ std::optional<ShareAnswer> ViewerHub::answer(const ShareWant& want) {
 }
 
 bool ViewerHub::send_page(const Endpoint::Peer& peer, const stream::PageVersion& asked, std::uint64_t epoch) {
-  const auto page = board_.find(asked.page) ? board_.page(asked.page, false) : nullptr;
+  const auto page = board_.find(asked.page) ? board_.page(asked.page, false, false) : nullptr;
   if (!page || page->version != asked.version || epoch != model_.status().epoch) return false;
   for (const SharedPacket& part : page->parts) send(peer, *part);
   return true;

@@ -24,7 +24,15 @@ constexpr double kMostOfRate = 1.25;  // that the link is remembered to take
 
 }  // namespace
 
+void ViewerRate::begin_with(Spent spent) {
+  bucket_ = spent.bucket;
+  debt_ = spent.debt;
+  second_ = std::move(spent.second);
+  goes_on_ = true;
+}
+
 void ViewerRate::set(double kbps, double most_kbps, std::int64_t now_ns) {
+  if (kbps > 0) kbps = std::max(kbps, kLeastKbps);
   if (kbps == kbps_ && most_kbps == most_kbps_) return;
   const bool first = kbps_ < 0, other = kbps != kbps_;
   const bool less = kbps > 0 && (kbps_ == 0 || kbps < kbps_);
@@ -38,7 +46,7 @@ void ViewerRate::set(double kbps, double most_kbps, std::int64_t now_ns) {
     link_ = kbps > 0 ? kbps * 125 : kFirst;
     samples_.clear();
   }
-  if (first) bucket_ = bus::TokenBucket(bytes_per_s(), burst());
+  if (first && !goes_on_) bucket_ = bus::TokenBucket(bytes_per_s(), burst());
   refill(now_ns);
 }
 
@@ -69,6 +77,11 @@ double ViewerRate::available(std::int64_t now_ns) {
     if (bucket_.take(paid, now_ns)) debt_ -= paid;
   }
   return debt_ > 0 ? 0 : bucket_.available(now_ns);
+}
+
+bool ViewerRate::second_has_room(double bytes, double share, std::int64_t now_ns) {
+  const double there = second_.amount(now_ns);
+  return there == 0 || there + bytes / most_ <= share;
 }
 
 bool ViewerRate::has_room(double bytes, std::int64_t now_ns) {
@@ -103,6 +116,7 @@ void ViewerRate::take(std::uint64_t sequence, double bytes, std::int64_t now_ns)
                       .delivered = delivered_,
                       .rested = rested_ || starts()});
   on_the_way_ += bytes;
+  second_.add(bytes / most_, now_ns);
   last_sequence_ = sequence;
   const double there = std::min(bytes, tokens);
   if (bucket_.take(there, now_ns)) debt_ += bytes - there;

@@ -7,10 +7,12 @@
 #include <optional>
 
 #include "bus/token_bucket.h"
+#include "streamer/last_second.h"
 
 namespace splatbus::streamer {
 
-/// When and how fast one viewer is sent bytes: no second has more than 1.1 times the rate, and no more is on the way
+/// When and how fast one viewer is sent bytes: no second has more than 1.1 times the rate, but where one packet alone
+/// is larger than that and goes by itself; and no more is on the way
 /// than its link delivers until the viewer can have said so. Queues on the way stay short whatever the link does, and
 /// what is not sent yet can still be replaced by something newer.
 ///
@@ -22,7 +24,8 @@ namespace splatbus::streamer {
 /// that is cut holds little that is old.
 class ViewerRate {
  public:
-  /// kbps 0: whatever the link takes. `most_kbps`: what the viewer wants at most; 0: it does not mind.
+  /// kbps 0: whatever the link takes. `most_kbps`: what the viewer wants at most; 0: it does not mind. Below
+  /// kLeastKbps either is taken for that.
   void set(double kbps, double most_kbps, std::int64_t now_ns);
   /// The packet of that number, which only grows, was sent. What is larger than the burst goes when that is there, and
   /// is paid for later.
@@ -34,6 +37,9 @@ class ViewerRate {
 
   /// Bytes that the rate allows for at this moment.
   [[nodiscard]] double available(std::int64_t now_ns);
+  /// Whether so many more may go in this second: the bucket alone would let what is larger than it pass in one.
+  /// `share`: of the rate, that one second may have.
+  [[nodiscard]] bool second_has_room(double bytes, double share, std::int64_t now_ns);
   /// Whether so many more may be on the way.
   [[nodiscard]] bool has_room(double bytes, std::int64_t now_ns);
   /// Of a viewer that does acknowledge: since when it owes that; nullopt while it does not.
@@ -53,11 +59,23 @@ class ViewerRate {
   static constexpr double kFirstWindow =
       128 * 1024;  ///< bytes; what is acknowledged adds as much: it doubles each round trip
   static constexpr double kSilentBytes_s = 8 * 1024;
+  static constexpr double kLeastKbps = 100;
+
+  /// What has been taken of the rate.
+  struct Spent {
+    bus::TokenBucket bucket{1, 1};
+    double debt = 0;
+    LastSecond second;
+  };
+  [[nodiscard]] Spent spent() const { return {bucket_, debt_, second_}; }
+  /// Before the first set(): another one of the same viewer has spent that.
+  void begin_with(Spent spent);
 
  private:
   static constexpr double kBurst_s = 0.1, kLeastBurst = 8192;
   static constexpr std::int64_t kNever = std::numeric_limits<std::int64_t>::max();
-  static constexpr double kLeast = 12500, kFirst = 1.25e6, kLeastLink = 1e4, kMost = 1.25e8;  // bytes a second
+  static constexpr double kLeast = 125 * kLeastKbps, kFirst = 1.25e6, kLeastLink = 1e4,
+                          kMost = 1.25e8;  // bytes a second
   struct Packet {
     std::uint64_t sequence = 0;
     double bytes = 0;
@@ -83,6 +101,8 @@ class ViewerRate {
 
   double kbps_ = -1, most_kbps_ = 0, most_ = kMost, link_ = 0, debt_ = 0;
   bus::TokenBucket bucket_{1, 1};
+  LastSecond second_;     ///< of what it may have: bytes over the rate at which they went
+  bool goes_on_ = false;  ///< begin_with()
 
   std::deque<Packet> packets_;  ///< that are on the way
   double on_the_way_ = 0, delivered_ = 0;

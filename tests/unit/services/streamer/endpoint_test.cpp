@@ -1,10 +1,15 @@
 #include "streamer/endpoint.h"
 
-#include <gtest/gtest.h>
+#include <gmock/gmock.h>
+#include <sys/stat.h>
+#include <sys/wait.h>
+#include <unistd.h>
 
 #include <algorithm>
 
 #include "../../bus/bus_fixture.h"
+#include "bus/error.h"
+#include "stream/relay_client.h"
 
 namespace splatbus::streamer {
 namespace {
@@ -90,6 +95,72 @@ TEST_F(EndpointTest, GarbageTakesItsShareOfATurnAndNoMore) {
     return endpoint_.malformed() == 3000;
   }));
   EXPECT_LE(most, 256U);
+}
+
+TEST_F(EndpointTest, AServicesClientsCountByThemselves) {
+  zmq::socket_t gateway = connect("gateway");
+  const auto bytes = [](const std::string& text) { return stream::Bytes(text.begin(), text.end()); };
+  const stream::Bytes rights = bytes(bus::rights_frame({.view = true}));
+  send(gateway, {hello()});
+  EXPECT_EQ(receive_to_hello().back().address, "") << "itself, over ipc";
+  send(gateway, {rights, bytes(stream::client_frame(7)), hello()});
+  const Endpoint::Received received = receive_to_hello().back();
+  EXPECT_EQ(received.address, stream::client_frame(7));
+  EXPECT_EQ(received.rights, bus::Rights{.view = true});
+  EXPECT_TRUE(received.is_service);
+  EXPECT_EQ(endpoint_.malformed(), 0U);
+}
+
+TEST_F(EndpointTest, LiesWhereNobodyElseCouldHavePutIt) {
+  const auto refusal = [](const std::string& endpoint) {
+    try {
+      Endpoint refused({endpoint});
+    } catch (const bus::Error& error) {
+      return std::string(error.what());
+    }
+    return std::string();
+  };
+  const std::string open = directory_.path() + "/open", others = directory_.path() + "/others";
+  for (const std::string& folder : {open, others}) ASSERT_EQ(::mkdir(folder.c_str(), 0700), 0);
+  ASSERT_EQ(::chmod(open.c_str(), 0777), 0);
+  EXPECT_THAT(refusal("ipc://" + open + "/s"), testing::HasSubstr("others may write to its folder"));
+  EXPECT_THAT(refusal("ipc://@splatbus"), testing::HasSubstr("without a folder"));
+  EXPECT_EQ(refusal("ipc://" + directory_.path() + "/made/s"), "");
+  struct stat made {};
+  ASSERT_EQ(::stat((directory_.path() + "/made").c_str(), &made), 0);
+  EXPECT_EQ(made.st_mode & 0777U, 0700U);
+  if (::geteuid() != 0) GTEST_SKIP() << "the rest takes root";
+  ASSERT_EQ(::chown(others.c_str(), 65534, 65534), 0);
+  EXPECT_THAT(refusal("ipc://" + others + "/s"), testing::HasSubstr("another user"));
+}
+
+TEST_F(EndpointTest, OverIpcAnotherUserIsNotHeardEvenWhereTheDoorIsOpen) {
+  if (::geteuid() != 0) GTEST_SKIP() << "takes root";
+  const std::string path = directory_.path() + "/streamer";
+  ASSERT_EQ(::chmod(directory_.path().c_str(), 0755), 0);
+  ASSERT_EQ(::chmod(path.c_str(), 0777), 0);
+  const std::string address = endpoint_.bound().front();
+  const stream::Bytes word = hello();
+  const pid_t other = ::fork();
+  if (other == 0) {
+    if (::setuid(65534) != 0) ::_exit(1);
+    zmq::context_t context;
+    zmq::socket_t socket(context, zmq::socket_type::dealer);
+    socket.set(zmq::sockopt::linger, 1000);
+    socket.connect(address);
+    (void)socket.send(zmq::buffer(word), zmq::send_flags::none);
+    socket.close();
+    context.close();
+    ::_exit(0);
+  }
+  int status = 0;
+  ASSERT_EQ(::waitpid(other, &status, 0), other);
+  ASSERT_EQ(status, 0);
+  zmq::socket_t own = connect("own");
+  send(own, {hello()});
+  const auto received = receive_to_hello();
+  ASSERT_EQ(received.size(), 1U);
+  EXPECT_EQ(received.front().peer, "own");
 }
 
 }  // namespace

@@ -78,5 +78,63 @@ TEST_F(RadianceOfOthers, NobodyAsksForVisibilityThatThereIsNone) {
   EXPECT_FALSE(feed.waits());
 }
 
+// Who says that it has lost its own, again and again, costs no encoding.
+TEST_F(ViewerFeedTest, AManifestIsMadeOnceUntilSomethingChanges) {
+  std::vector<stream::OfferedPage> changed;
+  (void)board_.add({}, changed);
+  const std::vector<SharedPacket> first = board_.manifest();
+  EXPECT_EQ(board_.manifest(), first) << "the very packets";
+  EXPECT_EQ(board_.layout(), board_.layout());
+  const auto anew = server_.stream.manifest_packets(*server_.stream.offered(), {}, true);
+  ASSERT_EQ(first.size(), anew.size());
+  for (std::size_t k = 0; k < anew.size(); ++k) {
+    const auto pages = [](const stream::EncodedPacket& packet) {
+      std::vector<std::pair<std::uint32_t, std::uint32_t>> named;
+      for (const wire::PageInfo* info : *stream::test::parse(packet).root().body_as_Manifest()->pages()) {
+        named.emplace_back(info->page(), info->version());
+      }
+      return named;
+    };
+    EXPECT_EQ(pages(first[k]->copy()), pages(anew[k]));
+  }
+  tick({});
+  EXPECT_NE(board_.manifest(), first);
+}
+
+TEST_F(ViewerFeedTest, AManifestSaysTheBytesOfWhatIsEncoded) {
+  const auto said = [&](std::uint32_t page) {
+    const auto packets = server_.stream.manifest_packets(*server_.stream.offered(), {}, true);
+    for (const wire::PageInfo* info : *stream::test::parse(packets[0]).root().body_as_Manifest()->pages()) {
+      if (info->page() == page) return info->bytes();
+    }
+    return 0U;
+  };
+  const auto whole = server_.stream.page_packets(1);
+  ASSERT_EQ(whole.size(), 1U);
+  EXPECT_EQ(said(1), stream::test::parse(whole[0].packet).root().body_as_Page()->blob_bytes());
+  std::uint32_t in_parts = 0;
+  for (const auto& part : server_.stream.page_packets(2, stream::kBlockRows)) {
+    in_parts += stream::test::parse(part.packet).root().body_as_Page()->blob_bytes();
+  }
+  EXPECT_EQ(said(2), in_parts);
+}
+
+// What is read by somebody who goes on with it by nothing is followed without a packet.
+TEST_F(ViewerFeedTest, OfAPageThatWasOnlyReadNoDeltaIsMade) {
+  std::vector<stream::OfferedPage> changed;
+  (void)board_.add({}, changed);
+  server_.stream.set_holders({});
+  ASSERT_TRUE(board_.page(0, false, false));
+  ASSERT_TRUE(board_.page(1, false));
+  server_.train(0.2F);
+  ASSERT_TRUE(server_.stream.observe(server_.model().view()));
+  server_.stream.make_tick(1e9, {});
+  std::set<std::uint32_t> pages;
+  for (const auto& delta : server_.stream.take_update().deltas) {
+    for (const auto& step : delta.steps) pages.insert(step.page);
+  }
+  EXPECT_EQ(pages, std::set<std::uint32_t>{1});
+}
+
 }  // namespace
 }  // namespace splatbus::streamer

@@ -72,6 +72,27 @@ class ShareMessages : public testing::Test {
   ShareMessage said_;
 };
 
+// Whose a page is, is remembered by its number: no message makes that grow.
+TEST_F(ShareMessages, NoPageHasANumberBeyondTheLast) {
+  static constexpr auto kBeyond = static_cast<std::uint32_t>(stream::kMaxPageNumber);
+  refused("held", [](ShareMessage& said) { said.viewers->held.insert(kBeyond); });
+  refused("wanted", [](ShareMessage& said) { said.wants[0].page = kBeyond; });
+  refused("offered", [](ShareMessage& said) { said.pages->back().page = kBeyond; });
+  ShareMessage& all = said_;
+  const auto spoil = [&](const std::function<void(wire::Packet&)>& change) {
+    ShareMessage said = all;
+    stream::DeltaPacket& delta = said.deltas[first_delta_of(said)];
+    change(*flatbuffers::GetMutableRoot<wire::Packet>(delta.packet.packet.data()));
+    EXPECT_THROW(passed(said), stream::StreamError);
+  };
+  const auto first_step = [](wire::Packet& packet) -> wire::PageStep& {
+    auto* body = static_cast<wire::PageDelta*>(packet.mutable_body());
+    return *body->mutable_steps()->GetMutableObject(0);
+  };
+  spoil([&](wire::Packet& packet) { first_step(packet).mutate_page(kBeyond); });
+  spoil([&](wire::Packet& packet) { first_step(packet).mutate_base(kBeyond); });
+}
+
 TEST_F(ShareMessages, WhatIsSaidIsWhatIsRead) {
   ASSERT_GE(said_.pages->size(), 4U);
   ASSERT_FALSE(said_.deltas.empty());

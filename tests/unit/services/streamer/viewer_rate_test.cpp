@@ -106,6 +106,51 @@ TEST(ViewerRate, ASenderThatIsLateIsNotTakenForASlowLink) {
   EXPECT_GT(link.rate.bytes_per_s(), 900'000);
 }
 
+// What is larger than the burst is paid for afterwards, and the bucket alone would let two of those pass in one second.
+TEST(ViewerRate, NoSecondHasMoreThanATenthAboveALowRate) {
+  for (const double kbps : {100.0, 300.0}) {
+    for (const double packet : {200.0, 3000.0, 6500.0, 9500.0}) {
+      ViewerRate rate;
+      rate.set(kbps, 0, kSecond);
+      std::deque<double> sent;  // so far, at each step
+      double all = 0, largest = 0;
+      std::uint64_t sequence = 0;
+      for (std::int64_t now_ns = kSecond; now_ns < 61 * kSecond; now_ns += kStep) {
+        while (rate.available(now_ns) >= std::min(packet, 0.999 * rate.burst()) &&
+               rate.second_has_room(packet, 1.1, now_ns)) {
+          rate.take(++sequence, packet, now_ns);
+          all += packet;
+        }
+        rate.acknowledged(sequence, now_ns);
+        sent.push_back(all);
+        if (sent.size() > 100) {
+          largest = std::max(largest, sent.back() - sent.front());
+          sent.pop_front();
+        }
+      }
+      EXPECT_LE(largest, 1.1 * kbps * 125) << kbps << ", " << packet;
+      EXPECT_GT(all, 0.5 * kbps * 125 * 60) << kbps << ", " << packet << ": the rate was not used";
+    }
+  }
+}
+
+TEST(ViewerRate, LessThanTheLeastRateIsTakenForThat) {
+  ViewerRate rate;
+  rate.set(1, 0, kSecond);
+  EXPECT_EQ(rate.bytes_per_s(), 125 * ViewerRate::kLeastKbps);
+}
+
+TEST(ViewerRate, WhoGoesOnHasSpentWhatItHas) {
+  ViewerRate before, after;
+  before.set(1000, 0, kSecond);
+  before.take(1, 20'000, kSecond);
+  after.begin_with(before.spent());
+  after.set(1000, 0, kSecond);
+  EXPECT_EQ(after.available(kSecond), 0);
+  EXPECT_FALSE(after.second_has_room(120'000, 1.1, kSecond));
+  EXPECT_GT(after.available(2 * kSecond), 0);
+}
+
 TEST(ViewerRate, TakesNoMoreThanTheViewerWants) {
   Link link(2000);
   for (int k = 0; k < 100; ++k) {

@@ -1,0 +1,58 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <list>
+#include <optional>
+#include <string>
+
+#include "streamer/bounded_buckets.h"
+#include "streamer/endpoint.h"
+#include "streamer/peer_limits.h"
+#include "streamer/viewer_rate.h"
+
+namespace splatbus::streamer {
+
+/// What is known of those who are no viewers: how often one of them is answered and may become one, whatever others
+/// say; and what those who were viewers a moment ago have had already, so that leaving and coming back brings nothing.
+/// In bounded memory. One thread.
+class PeerBook {
+ public:
+  static constexpr std::size_t kMaxLeavers = 256;
+  static constexpr std::int64_t kRememberNs = 10'000'000'000;
+
+  /// Whether a word of somebody unknown is answered.
+  [[nodiscard]] bool answers(const Endpoint::Peer& peer, std::int64_t now_ns) {
+    return words_.take(peer, 1, now_ns) && all_words_.take(1, now_ns);
+  }
+  /// Whether its Hello is heard. One connection leaves the others of its address their share, and one address other
+  /// addresses theirs.
+  [[nodiscard]] bool admits(const Endpoint::Peer& peer, const std::string& address, std::int64_t now_ns) {
+    return hellos_.take(peer, 1, now_ns) && (address.empty() || address_hellos_.take(address, 1, now_ns)) &&
+           all_hellos_.take(1, now_ns);
+  }
+
+  struct Leaver {
+    PeerLimits limits;
+    ViewerRate::Spent spent;
+    std::int64_t posed_ns = 0;
+  };
+  void left(const Endpoint::Peer& peer, const std::string& address, Leaver leaver, std::int64_t now_ns);
+  /// Of a viewer that comes by the same connection, or by another one of an address that one has left.
+  [[nodiscard]] std::optional<Leaver> take_leaver(const Endpoint::Peer& peer, const std::string& address,
+                                                  std::int64_t now_ns);
+
+ private:
+  struct Entry {
+    Endpoint::Peer peer;
+    std::string address;
+    std::int64_t left_ns = 0;
+    Leaver leaver;
+  };
+
+  BoundedBuckets words_{5, 10}, hellos_{1, 5}, address_hellos_{4, 40};
+  bus::TokenBucket all_words_{200, 200}, all_hellos_{100, 200};
+  std::list<Entry> leavers_;  ///< who left first is in front
+};
+
+}  // namespace splatbus::streamer
