@@ -147,6 +147,7 @@ void Supervisor::start_child(Life& life) {
   life.counters.clear();
   auto environment = life.plan.environment;
   environment.emplace("SPLATBUS_SUPERVISED", "1");
+  environment.emplace("SPLATBUS_STOP_TIMEOUT_S", fmt::format("{}", life.plan.stop_timeout_s));
   life.child.emplace(life.plan.program, life.plan.arguments, environment, life.plan.nice);
 }
 

@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <array>
+#include <cstdlib>
 #include <string_view>
 #include <utility>
 
@@ -39,8 +40,9 @@ void Options::bind(bus::ParameterBinder& p) {
       "host, or host:port, by which others reach 'tcp'; empty: this machine's name where it is bound to all addresses",
       kFixed);
   p.add("drain_s", drain_s,
-        "time in which viewers move to another streamer when this one is told to end, if there is another, s", {0, 60},
-        kFixed);
+        "most time in which viewers move to another streamer when this one is told to end, if there is another; three "
+        "quarters of the launch file's stop_timeout_s at most, s",
+        {0, 60}, kFixed);
   p.add("key", keys.key, "key file for the tcp endpoint; empty: server.key of 'splatbus keys'", kFixed);
   p.add("allowed", keys.allowed, "file that lists who may connect over tcp; empty: that of 'splatbus keys'", kFixed);
   p.add("keys_on_loopback", keys.always, "require keys on the loopback address too", kFixed);
@@ -77,6 +79,13 @@ void Options::bind(bus::ParameterBinder& p) {
           "largest change, in every channel, that is not sent while the value moves, quantizer steps", {0, 10000});
     p.add(fmt::format("{}_every", name), s.every, "ticks between deltas of it", {1, 1000});
   }
+}
+
+double drain_limit_s(double drain_s) {
+  constexpr double kShare = 0.75;
+  const char* const stop_timeout = std::getenv("SPLATBUS_STOP_TIMEOUT_S");
+  if (stop_timeout == nullptr) return drain_s;
+  return std::min(drain_s, kShare * std::strtod(stop_timeout, nullptr));
 }
 
 std::vector<std::string> endpoints(const Options& options, const bus::Address& address, const std::string& source) {

@@ -20,12 +20,16 @@ struct Options {
   bus::ServerKeyFiles keys;
   double budget_kbps = 6000;
   double visibility_hz = 20, visibility_kbps = 1000;
-  double drain_s = 3;  ///< at the end: until its viewers are with another streamer
+  double drain_s = 3;  ///< at the end, at most: until its viewers are with another streamer
   HubOptions hub;
   stream::StreamOptions stream{.coarseness = kCoarseness};
 
   void bind(bus::ParameterBinder& parameters);
 };
+
+/// How long a streamer may drain that whoever started it kills SPLATBUS_STOP_TIMEOUT_S after SIGTERM: `drain_s`, and no
+/// more than leaves it a quarter of that time to end in.
+[[nodiscard]] double drain_limit_s(double drain_s);
 
 /// Where to bind: `endpoint` (empty: ipc, `source` in the bus's folder, when the bus is local) and `tcp`. Throws
 /// bus::Error when that is nowhere.

@@ -97,7 +97,7 @@ void Streamer::drain() {
   sharing_.drain();
   publish_offer();
   service_.detail("its viewers move to another streamer");
-  const std::int64_t end_ns = bus::now_ns() + static_cast<std::int64_t>(options_->drain_s * 1e9);
+  const std::int64_t end_ns = bus::now_ns() + static_cast<std::int64_t>(drain_limit_s(options_->drain_s) * 1e9);
   while (hub_.viewers() > 0 && bus::now_ns() < end_ns) wait_and_step();
 }
 

@@ -147,6 +147,14 @@ TEST_F(SupervisorTest, WhatASignalFromOutsideStoppedIsStartedAgain) {
   EXPECT_TRUE(wait_for_state("a", ProcessState::Stopped));
 }
 
+/// So that what drains ends by itself.
+TEST_F(SupervisorTest, ProcessesKnowWhenTheyWouldBeKilled) {
+  ProcessPlan plan = shell("a", "echo after $SPLATBUS_STOP_TIMEOUT_S; " + std::string(kSleep));
+  plan.stop_timeout_s = 7.5;
+  launch({plan});
+  EXPECT_TRUE(wait_for_line("a | after 7.5"));
+}
+
 TEST_F(SupervisorTest, OrdersAreRefusedWhenItIsOver) {
   launch({shell("a", "exit 0")});
   wait_for_end();

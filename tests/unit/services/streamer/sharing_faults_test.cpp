@@ -130,5 +130,23 @@ TEST_F(SharingFaults, OneThatLeavesGivesItsPagesAway) {
   ending.join();
 }
 
+/// A viewer that does not leave keeps nobody until he is killed for it.
+TEST_F(SharingFaults, ADrainEndsBeforeItsProcessIsKilled) {
+  ASSERT_EQ(::setenv("SPLATBUS_STOP_TIMEOUT_S", "2", 1), 0);
+  EXPECT_LE(streamer::drain_limit_s(20), 1.5);
+  EXPECT_EQ(streamer::drain_limit_s(1), 1);
+  stepped_.reset();
+  auto two = streamer("streamer-3", {{"drain_s", "20"}});
+  auto b = viewer_of(*two);
+  ASSERT_TRUE(until({viewer_.get(), b.get()}, [&] { return shows_model(*b) && shows_model(*viewer_); }));
+  const auto start = std::chrono::steady_clock::now();
+  two.reset();
+  const double took_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+  ::unsetenv("SPLATBUS_STOP_TIMEOUT_S");
+  EXPECT_GE(took_s, 1.4) << "it did wait for its viewer";
+  EXPECT_LT(took_s, 10);
+  EXPECT_EQ(streamer::drain_limit_s(20), 20) << "nobody kills it";
+}
+
 }  // namespace
 }  // namespace splatbus::stream_test
