@@ -160,7 +160,7 @@ TEST_F(OperatedPipeline, EveryVerbOnALivePipeline) {
   EXPECT_EQ(status().at("viewer").at("state"), "running");
 
   EXPECT_THAT(run({"logs", "relight", "-n", "500"}).lines, Contains(HasSubstr("stopped by signal 15")));
-  const Answer mistyped = run({"logs", "relite"});
+  const Answer mistyped = run({"logs", "relihgt"});
   EXPECT_EQ(mistyped.status.code, 1);
   EXPECT_THAT(mistyped.lines, Contains(HasSubstr("did you mean 'relight'?")));
   std::map<std::string, pid_t> pids;
