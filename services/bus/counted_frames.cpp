@@ -61,7 +61,7 @@ zmq::message_t UnsentBytes::make(std::size_t bytes) const {
 
 zmq::message_t UnsentBytes::copy(const zmq::message_t& frame) const {
   zmq::message_t result = make(frame.size());
-  if (frame.size() > 0) std::memcpy(result.data(), frame.data(), frame.size());
+  if (!frame.empty()) std::memcpy(result.data(), frame.data(), frame.size());
   return result;
 }
 
