@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <chrono>
 #include <tuple>
+#include <utility>
 
 #include "bus/frames.h"
 #include "wire/stream_generated.h"
@@ -63,12 +64,21 @@ void StreamerChoice::take(const wire::Liveness& liveness, std::int64_t now_ns) {
 }
 
 bool StreamerChoice::serves(const Offer& offer) const {
-  return offer.alive && !offer.draining && liveness_ns_ - offer.heard_ns <= kStaleNs;
+  const bool is_passed_over =
+      offer.endpoint == offer.passed_over && liveness_ns_ - offer.passed_over_ns <= kPassedOverNs;
+  return offer.alive && !offer.draining && !is_passed_over && liveness_ns_ - offer.heard_ns <= kStaleNs;
 }
 
 bool StreamerChoice::serves(const StreamerPlace& place) const {
   const auto found = offers_.find(place.source);
   return found != offers_.end() && found->second.endpoint == place.endpoint && serves(found->second);
+}
+
+bool StreamerChoice::pass_over(const StreamerPlace& place, std::int64_t now_ns) {
+  const auto found = offers_.find(place.source);
+  if (found == offers_.end() || found->second.endpoint != place.endpoint) return true;
+  found->second.passed_over_ns = now_ns;
+  return std::exchange(found->second.passed_over, place.endpoint) != place.endpoint;
 }
 
 bool StreamerChoice::others_serve(const std::string& source) const {

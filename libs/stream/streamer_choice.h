@@ -43,12 +43,16 @@ class StreamerChoice {
   /// Where a viewer of `place` should go: while that one serves, to one that has far fewer viewers, if there is one;
   /// else as choose(). Nullopt: it stays.
   [[nodiscard]] std::optional<StreamerPlace> better_than(const StreamerPlace& place, std::int64_t now_ns);
+  /// A viewer could not connect to it: nobody is sent there for kPassedOverNs, or until it offers another place. True
+  /// when that was not known.
+  bool pass_over(const StreamerPlace& place, std::int64_t now_ns);
   /// Whether any streamer but `source` takes viewers.
   [[nodiscard]] bool others_serve(const std::string& source) const;
   [[nodiscard]] std::size_t serving() const;
 
   /// An offer that is older than the newest word of the broker by so much counts no more.
   static constexpr std::int64_t kStaleNs = 5'000'000'000;
+  static constexpr std::int64_t kPassedOverNs = 10'000'000'000;
 
  private:
   struct Offer {
@@ -57,6 +61,8 @@ class StreamerChoice {
     double busy = 0;  ///< share of a tick that its CPU time takes
     bool draining = false, alive = true;
     std::int64_t heard_ns = 0;
+    std::string passed_over{};  ///< an endpoint
+    std::int64_t passed_over_ns = 0;
     std::deque<std::int64_t> sent_ns;  ///< when viewers were sent there, that its offers may not count yet
   };
   using Offers = std::map<std::string, Offer>;

@@ -5,6 +5,7 @@
 #include <spdlog/spdlog.h>
 
 #include <algorithm>
+#include <exception>
 #include <limits>
 #include <memory>
 #include <optional>
@@ -17,8 +18,8 @@
 
 #include "bus/clock.h"
 #include "bus/log_sink.h"
-#include "bus/token_bucket.h"
 #include "gateway/boost_types.h"
+#include "gateway/inbound.h"
 #include "gateway/site.h"
 #include "gateway/sockets.h"
 #include "gateway/streamers.h"
@@ -34,8 +35,8 @@ class Browser {
   /// Tells it why, and ends it.
   virtual void close(const char* why) = 0;
   [[nodiscard]] virtual int socket() = 0;
-  /// To `streamer`, which has become another one. What it shows stays until it has that one's.
-  virtual void move() {}
+  /// To another streamer. What it shows stays until it has that one's. When it throws all is as before.
+  virtual void move(const stream::StreamerPlace& /*place*/) {}
 
   bus::Rights rights;
   std::string token;
@@ -49,7 +50,7 @@ class Browser {
 class Relay {
  public:
   Relay(const Limits& bounds, Traffic& counts, Streamers& all_streamers)
-      : limits(bounds), traffic(counts), streamers(all_streamers) {}
+      : limits(bounds), traffic(counts), streamers(all_streamers), inbound(bounds) {}
 
   void begin_write(Browser& browser, std::size_t bytes) {
     browser.write_began_ns = browser.progress_ns = bus::now_ns();
@@ -84,9 +85,14 @@ class Relay {
       if (!place && !balanced) balanced = (place = streamers.better_than(*browser->streamer, now_ns)).has_value();
       if (!place) continue;
       const bool is_there = place->endpoint == browser->streamer->endpoint;  // before the bus had named it
+      try {
+        if (!is_there) browser->move(*place);
+      } catch (const std::exception& error) {
+        streamers.pass_over(*place, error.what(), now_ns);
+        continue;
+      }
       browser->streamer = *place;
       if (is_there) continue;
-      browser->move();
       ++moves;
       ++traffic.moves;
     }
@@ -95,6 +101,7 @@ class Relay {
   const Limits& limits;
   Traffic& traffic;
   Streamers& streamers;
+  InboundTotal inbound;
   zmq::context_t context;
   std::set<Browser*> browsers;
 
@@ -128,7 +135,7 @@ class BrowserSocket : public Browser, public std::enable_shared_from_this<Browse
       : relay_(relay),
         socket_(std::move(connection)),
         subprotocol_(admission.subprotocol),
-        messages_(relay.limits.messages_per_s, 2 * relay.limits.messages_per_s) {
+        inbound_(relay.limits, relay.inbound) {
     rights = *admission.rights;
     token = std::move(admission.token);
     relay_.browsers.insert(this);
@@ -152,7 +159,7 @@ class BrowserSocket : public Browser, public std::enable_shared_from_this<Browse
     socket_.binary(true);
     // Pings never come out of a read, so they are counted here.
     socket_.control_callback([this](websocket::frame_type, beast::string_view) {
-      if (!messages_.take(1, bus::now_ns())) flood();
+      if (!inbound_.take_control(bus::now_ns())) flood();
     });
     const auto [error] = co_await socket_.async_accept(request, kNoThrow);
     if (error) co_return;
@@ -223,7 +230,7 @@ class BrowserSocket : public Browser, public std::enable_shared_from_this<Browse
       if (error || stopped_) co_return;
       ++relay_.traffic.messages_from;
       relay_.traffic.bytes_from += bytes;
-      co_await wait_for_turn();
+      co_await wait_for_turn(bytes);
       if (!closing_) {
         const std::string problem =
             take({static_cast<const std::uint8_t*>(buffer.data().data()), bytes}, socket_.got_binary());
@@ -239,9 +246,9 @@ class BrowserSocket : public Browser, public std::enable_shared_from_this<Browse
     }
   }
 
-  asio::awaitable<void> wait_for_turn() {
+  asio::awaitable<void> wait_for_turn(std::size_t bytes) {
     asio::steady_timer timer(socket_.get_executor());
-    while (!stopped_ && !messages_.take(1, bus::now_ns())) {
+    while (!stopped_ && !inbound_.take(bytes, bus::now_ns())) {
       timer.expires_after(std::chrono::milliseconds(10));
       co_await timer.async_wait(kNoThrow);
     }
@@ -253,7 +260,7 @@ class BrowserSocket : public Browser, public std::enable_shared_from_this<Browse
   }
 
   const std::string subprotocol_;
-  bus::TokenBucket messages_;
+  Inbound inbound_;
 };
 
 }  // namespace splatbus::gateway

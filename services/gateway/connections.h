@@ -27,6 +27,8 @@ class ConnectionCounts {
       if (counts_ != nullptr) counts_->release(address_);
     }
 
+    [[nodiscard]] const std::string& address() const { return address_; }
+
    private:
     friend class ConnectionCounts;
     Lease(ConnectionCounts& counts, std::string address) : counts_(&counts), address_(std::move(address)) {}

@@ -40,6 +40,11 @@ nlohmann::json to_json(const wire::Vec3& v) {
   return {v.x(), v.y(), v.z()};
 }
 
+wire::PageInfo with_bytes(const wire::PageInfo& info, std::uint32_t bytes) {
+  return {info.page(), info.version(), info.count(),  bytes,       info.object_id(),
+          info.box(),  info.level(),   info.frozen(), info.codec()};
+}
+
 std::span<const std::uint8_t> bytes_of(const zmq::message_t& message) {
   return {static_cast<const std::uint8_t*>(message.data()), message.size()};
 }
@@ -147,7 +152,8 @@ void PageLibrary::send(bool manifest, const std::vector<PageName>& pages) {
   const auto packet = stream::PacketWriter::brief().write(
       manifest_.epoch, 0, wire::Body::PageRequest,
       [&](auto& builder) { return wire::CreatePageRequest(builder, manifest, builder.CreateVectorOfStructs(names)); });
-  link_.send({.packet = packet.packet, .payload = {}}, bus::Rights{.view = true});
+  // Who may control is a service: it is given as many as it asks for.
+  link_.send({.packet = packet.packet, .payload = {}}, bus::Rights{.view = true, .control = true});
 }
 
 bool PageLibrary::poll(std::int64_t now_ns) {
@@ -289,6 +295,10 @@ void PageLibrary::take_page(const stream::ParsedPacket& packet) {
   std::string log;
   append_message(log, page);
   keep(name, std::move(log));
+  if (const auto named = manifest_.pages.find(name.page);
+      named != manifest_.pages.end() && name.epoch == manifest_.epoch && named->second.version() == name.version) {
+    named->second = with_bytes(named->second, body.blob_bytes());
+  }
 }
 
 void PageLibrary::keep(const PageName& name, std::string body) {

@@ -40,6 +40,10 @@ void Options::bind(bus::ParameterBinder& p) {
   p.add("max_rate_kbps", limits.rate_kbps, "most data read from one connection, kbit/s", {8, 1e6}, kFixed);
   p.add("max_messages_per_s", limits.messages_per_s, "most messages per second read from one browser", {1, 10000},
         kFixed);
+  p.add("max_total_rate_kbps", limits.total_rate_kbps,
+        "most data read from all connections together, kbit/s; the busiest wait first", {8, 1e8}, kFixed);
+  p.add("max_total_messages_per_s", limits.total_messages_per_s,
+        "most messages and requests per second of all connections together; the busiest wait first", {1, 1e7}, kFixed);
   p.add("max_queued_mb", limits.queued_bytes,
         "memory for packets being written to browsers; beyond, the slowest browser is disconnected, MiB", {8, 16384},
         kFixed, bus::kMebibytes);

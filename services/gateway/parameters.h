@@ -13,9 +13,11 @@ namespace splatbus::gateway {
 struct Limits {
   int connections = 512;
   int connections_per_address = 128;
-  std::size_t message_bytes = 65536;  ///< of one WebSocket message from a browser
-  double rate_kbps = 2000;            ///< kbit/s from one connection; what is beyond that is not read until later
-  double messages_per_s = 240;        ///< from one browser
+  std::size_t message_bytes = 65536;     ///< of one WebSocket message from a browser
+  double rate_kbps = 2000;               ///< kbit/s from one connection; what is beyond that is not read until later
+  double messages_per_s = 240;           ///< from one browser
+  double total_rate_kbps = 200'000;      ///< kbit/s from all connections together; then the busiest wait first
+  double total_messages_per_s = 20'000;  ///< the same
   std::size_t queued_bytes = std::size_t{256} << 20;  ///< of packets that are being written, all browsers together
   double handshake_s = 5;                             ///< for TLS, and for the header of a request
   double idle_s = 30;                                 ///< without a request or, from a browser, so much as a pong

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "bus/log_sink.h"
+#include "bus/rendezvous.h"
 #include "gateway/connections.h"
 #include "gateway/foxglove/session.h"
 #include "gateway/http_exchange.h"
@@ -25,7 +26,7 @@ using asio::ip::tcp;
 
 constexpr int kRequestsAConnection = 1000;
 constexpr std::size_t kDescriptorsAConnection = 4, kDescriptorsReserved = 288;
-constexpr std::chrono::milliseconds kTick(100);
+constexpr std::chrono::milliseconds kTick(100), kTurn(10);
 /// Somebody else's, who closes it.
 struct BorrowedDescriptor {
   asio::posix::stream_descriptor descriptor;
@@ -96,21 +97,25 @@ struct Server::Impl {
     Tcp stream(std::move(socket));
     stream.rate_policy().read_limit(
         std::max<std::size_t>(1024, static_cast<std::size_t>(options.limits.rate_kbps * 125)));
+    // Of one address whichever gateway it comes by; 0 is none.
+    const std::uint64_t client = bus::mixed(bus::hash_of(held.address())) | 1U;
     if (!tls) {
       Connection plain(std::move(stream));
-      co_await serve(std::move(plain));
+      co_await serve(std::move(plain), client);
       co_return;
     }
     Tls secured(std::move(stream), *tls);
     beast::get_lowest_layer(secured).expires_after(seconds(options.limits.handshake_s));
     if (const auto [error] = co_await secured.async_handshake(asio::ssl::stream_base::server, kNoThrow); !error) {
       Connection whole(std::move(secured));
-      co_await serve(std::move(whole));
+      co_await serve(std::move(whole), client);
     }
   }
 
   /// Requests one after the other, until one becomes a WebSocket.
-  awaitable<void> serve(Connection connection) {
+  awaitable<void> serve(Connection connection, std::uint64_t client) {
+    Inbound inbound(options.limits, relay.inbound);
+    asio::steady_timer turn(io);
     beast::flat_buffer buffer(kMaxHeaderBytes + BenchLog::kMaxBytes);
     for (int served = 0; served < kRequestsAConnection; ++served) {
       http::request_parser<http::string_body> parser;
@@ -128,6 +133,10 @@ struct Server::Impl {
         }
         break;
       }
+      while (!inbound.take(bytes, bus::now_ns())) {
+        turn.expires_after(kTurn);
+        co_await turn.async_wait(kNoThrow);
+      }
       const HttpRequest request = parser.release();
       const bool head = request.method() == http::verb::head;
       if (websocket::is_upgrade(request)) {
@@ -137,8 +146,7 @@ struct Server::Impl {
         if (admission.rights && !is_early && has_room) {
           std::shared_ptr<BrowserSocket> session;
           if (to_stream) {
-            const stream::StreamerPlace place = relay.streamers.choose(bus::now_ns());
-            session = std::make_shared<StreamSession>(std::move(connection), relay, std::move(admission), place);
+            session = std::make_shared<StreamSession>(std::move(connection), relay, std::move(admission), client);
           } else {
             session = std::make_shared<foxglove::Session>(std::move(connection), relay, door, std::move(admission));
           }
@@ -212,8 +220,14 @@ struct Server::Impl {
     const auto place = library_place ? relay.streamers.instead_of(*library_place, now_ns)
                                      : std::optional(relay.streamers.choose(now_ns));
     if (!place) return;
-    library_place = place->source.empty() && place->endpoint.empty() ? std::nullopt : place;
-    if (!pages.ask_at(place->endpoint)) return;
+    try {
+      const bool is_another = pages.ask_at(place->endpoint);
+      library_place = place->source.empty() && place->endpoint.empty() ? std::nullopt : place;
+      if (!is_another) return;
+    } catch (const std::exception& error) {
+      relay.streamers.pass_over(*place, error.what(), now_ns);
+      return;
+    }
     library_wake.descriptor.release();
     library_wake.descriptor.assign(pages.descriptor());
     wake_waiting();

@@ -4,7 +4,9 @@
 
 #include "bus/curve.h"
 #include "bus/error.h"
+#include "bus/private_folder.h"
 #include "stream/packets.h"
+#include "stream/relay_client.h"
 
 namespace splatbus::gateway {
 
@@ -18,8 +20,8 @@ constexpr std::int64_t kMaxFrameBytes = std::int64_t{32} << 20;
 
 }  // namespace
 
-StreamLink::StreamLink(zmq::context_t& context, const std::string& endpoint)
-    : socket_(context, zmq::socket_type::dealer) {
+StreamLink::StreamLink(zmq::context_t& context, const std::string& endpoint, std::uint64_t client)
+    : socket_(context, zmq::socket_type::dealer), client_(client != 0 ? stream::client_frame(client) : "") {
   socket_.set(zmq::sockopt::rcvhwm, kQueuedFromStreamer);
   socket_.set(zmq::sockopt::sndhwm, kQueuedToStreamer);
   socket_.set(zmq::sockopt::linger, 0);
@@ -29,6 +31,7 @@ StreamLink::StreamLink(zmq::context_t& context, const std::string& endpoint)
   socket_.set(zmq::sockopt::maxmsgsize, kMaxFrameBytes);
   if (endpoint.empty()) return;
   bus::require_transport(endpoint);
+  bus::require_own_endpoint(endpoint);
   if (const auto keys = bus::client_keys(endpoint, "", "")) bus::use_keys(socket_, *keys);
   try {
     socket_.connect(endpoint);
@@ -57,6 +60,7 @@ bool StreamLink::send(const FramedPacket& packet, const bus::Rights& rights) {
   // Once the first frame is accepted, the rest of the message is.
   if (socket_.send(zmq::buffer(first), send_flags::dontwait | send_flags::sndmore)) {
     const bool has_payload = !packet.payload.empty();
+    if (!client_.empty()) socket_.send(zmq::buffer(client_), send_flags::dontwait | send_flags::sndmore);
     socket_.send(zmq::buffer(packet.packet.data(), packet.packet.size()),
                  has_payload ? send_flags::dontwait | send_flags::sndmore : send_flags::dontwait);
     if (has_payload) {

@@ -22,7 +22,8 @@ class StreamLink {
  public:
   /// An empty endpoint: to nobody. One that asks for keys gets this process's own, by SPLATBUS_KEY and
   /// SPLATBUS_SERVER_KEY. Throws bus::Error naming the endpoint.
-  StreamLink(zmq::context_t& context, const std::string& endpoint);
+  /// `client`: who it is that speaks, for bounds of one address; 0: this process itself.
+  StreamLink(zmq::context_t& context, const std::string& endpoint, std::uint64_t client = 0);
 
   /// The next packet, without waiting. False when there is none; then descriptor() becomes readable before there is
   /// one. Messages that are not one or two frames are skipped.
@@ -41,6 +42,7 @@ class StreamLink {
 
  private:
   zmq::socket_t socket_;
+  std::string client_;  ///< the frame that names it; empty: none
 };
 
 }  // namespace splatbus::gateway

@@ -3,6 +3,8 @@
 // Part of server.cpp: of Boost.Beast, which is slow to compile.
 
 #include <array>
+#include <cstdint>
+#include <exception>
 #include <span>
 #include <string>
 #include <utility>
@@ -18,11 +20,12 @@ namespace splatbus::gateway {
 /// Relays between one browser's WebSocket and its link to the streamer.
 class StreamSession final : public BrowserSocket {
  public:
-  StreamSession(Connection connection, Relay& relay, Site::Admission admission, const stream::StreamerPlace& place)
+  /// `client`: as StreamLink has it.
+  StreamSession(Connection connection, Relay& relay, Site::Admission admission, std::uint64_t client)
       : BrowserSocket(std::move(connection), relay, std::move(admission)),
-        link_(relay.context, place.endpoint),
+        client_(client),
+        link_(connect_anew()),
         wake_(socket_.get_executor(), link_.descriptor()) {
-    streamer = place;
     ++relay.traffic.viewers;
   }
   ~StreamSession() override {
@@ -30,15 +33,31 @@ class StreamSession final : public BrowserSocket {
     --relay_.traffic.viewers;
   }
 
-  void move() override {
+  void move(const stream::StreamerPlace& place) override {
+    StreamLink link(relay_.context, place.endpoint, client_);
     link_.say_goodbye();
     wake_.release();  // which ends a wait for it
-    link_ = StreamLink(relay_.context, streamer->endpoint);
+    link_ = std::move(link);
     wake_.assign(link_.descriptor());
     moved_ = true;
   }
 
  private:
+  /// To the streamer that is chosen. What an offer says may be no place to connect to, or need a key that is not here.
+  StreamLink connect_anew() {
+    for (int tries = 0; tries < kTries; ++tries) {
+      const std::int64_t now_ns = bus::now_ns();
+      streamer = relay_.streamers.choose(now_ns);
+      try {
+        return StreamLink(relay_.context, streamer->endpoint, client_);
+      } catch (const std::exception& error) {
+        if (!relay_.streamers.pass_over(*streamer, error.what(), now_ns)) break;
+      }
+    }
+    streamer = stream::StreamerPlace();  // until there is another
+    return StreamLink(relay_.context, "", client_);
+  }
+
   /// So that it greets its streamer at once, and not when it next says something.
   static StreamPacket question() {
     const auto asks = stream::PacketWriter::brief().write(0, 0, wire::Body::Welcome, [](auto& builder) {
@@ -81,6 +100,8 @@ class StreamSession final : public BrowserSocket {
     }
   }
 
+  static constexpr int kTries = 8;
+  std::uint64_t client_;
   StreamLink link_;
   asio::posix::stream_descriptor wake_;
   bool moved_ = false;

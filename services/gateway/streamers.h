@@ -5,6 +5,7 @@
 #include <optional>
 #include <string>
 
+#include "bus/log_sink.h"
 #include "bus/subscriber.h"
 #include "stream/streamer_choice.h"
 
@@ -30,6 +31,8 @@ class Streamers {
   /// Where somebody at `place` would do better, since far fewer are there; nullopt: it stays.
   [[nodiscard]] std::optional<stream::StreamerPlace> better_than(const stream::StreamerPlace& place,
                                                                  std::int64_t now_ns);
+  /// That place cannot be connected to: for a while nobody is sent there. False where there is no other to choose.
+  bool pass_over(const stream::StreamerPlace& place, const std::string& why, std::int64_t now_ns);
 
  private:
   struct OnBus {
@@ -42,6 +45,7 @@ class Streamers {
   };
   stream::StreamerPlace fixed_;
   std::unique_ptr<OnBus> on_bus_;
+  bus::LogLimiter log_limiter_;
 };
 
 }  // namespace splatbus::gateway

@@ -5,6 +5,7 @@
 
 #include "bus/curve.h"
 #include "bus/error.h"
+#include "bus/private_folder.h"
 #include "stream/layout.h"
 #include "viewer/packet_link.h"
 
@@ -37,6 +38,7 @@ class ZmqLink final : public PacketLink {
     socket_.set(zmq::sockopt::heartbeat_timeout, 5000);
     socket_.set(zmq::sockopt::maxmsgsize, static_cast<std::int64_t>(stream::kMaxPayloadBytes));
     bus::require_transport(endpoint);
+    bus::require_own_endpoint(endpoint);
     if (const auto keys = bus::client_keys(endpoint, key, server_key)) bus::use_keys(socket_, *keys);
     try {
       socket_.connect(endpoint);

@@ -131,5 +131,27 @@ TEST_F(StreamerChoiceTest, FromAnotherMachineOnlyTcpIsWithinReach) {
   EXPECT_EQ(choice_.choose(now_ns_), (StreamerPlace{"b", "tcp://host:7600"}));
 }
 
+TEST_F(StreamerChoiceTest, WhereNobodyCanConnectNobodyIsSentForAWhile) {
+  offer("a", {.viewers = 0});
+  offer("b", {.viewers = 5});
+  liveness({{"a", true}, {"b", true}});
+  const auto place = choice_.choose(now_ns_);
+  ASSERT_EQ(place->source, "a");
+  EXPECT_TRUE(choice_.pass_over(*place, now_ns_));
+  EXPECT_FALSE(choice_.pass_over(*place, now_ns_)) << "it is known";
+  EXPECT_FALSE(choice_.serves(*place));
+  EXPECT_EQ(chosen(), "b");
+  offer("a", {.viewers = 0});
+  EXPECT_EQ(chosen(), "b") << "it says the same again";
+  offer("a", {.viewers = 0, .endpoints = {"ipc:///run/bus/another"}});
+  EXPECT_EQ(chosen(), "a");
+  offer("a", {.viewers = 0});
+  now_ns_ += StreamerChoice::kPassedOverNs + kSecond;
+  offer("a", {.viewers = 0});
+  offer("b", {.viewers = 5});
+  liveness({{"a", true}, {"b", true}});
+  EXPECT_EQ(chosen(), "a") << "perhaps there is a key now";
+}
+
 }  // namespace
 }  // namespace splatbus::stream

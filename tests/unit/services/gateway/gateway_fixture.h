@@ -16,6 +16,7 @@
 #include "../streamer/stream_fixture.h"
 #include "gateway/foxglove/service.h"
 #include "gateway/server.h"
+#include "stream/relay_client.h"
 #include "wire_client.h"
 
 namespace splatbus::gateway_test {
@@ -87,8 +88,8 @@ class FakeStreamer {
 
   struct Received {
     std::string peer;
-    std::vector<std::string> frames;  ///< of the packet, without the rights before it
-    std::string rights;
+    std::vector<std::string> frames;  ///< of the packet, without rights and client before it
+    std::string rights, client;
   };
   Received receive() { return receive(kPatience); }
   Received receive(std::chrono::milliseconds timeout) {
@@ -101,6 +102,10 @@ class FakeStreamer {
     received.rights = frame.to_string();
     while (frame.more()) {
       (void)router_.recv(frame);
+      if (received.frames.empty() && stream::parse_client_frame(frame.to_string_view())) {
+        received.client = frame.to_string();
+        continue;
+      }
       received.frames.push_back(frame.to_string());
     }
     return received;

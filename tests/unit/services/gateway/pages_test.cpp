@@ -151,6 +151,15 @@ TEST_F(Pages, AreCachedForGood) {
   EXPECT_EQ(beyond.status, 416);
   EXPECT_EQ(beyond.field("Content-Range"), "bytes */" + std::to_string(first.body.size()));
   EXPECT_EQ(status()["gateway"]["pages_fetched"], 1) << "the streamer was asked once";
+  // Of a page that has been encoded it says the very bytes.
+  const auto page_packet = packets_in(first.body).front();
+  ASSERT_TRUE(bus_test::eventually([&] {
+    const nlohmann::json named = this->manifest();
+    for (const auto& page : named["pages"]) {
+      if (page["path"] == path) return page["bytes"] == page_packet.root().body_as_Page()->blob_bytes();
+    }
+    return false;
+  }));
   const HttpAnswer manifest = get(port_, "/manifest");
   EXPECT_EQ(manifest.field("Cache-Control"), "public, max-age=1, must-revalidate");
   EXPECT_EQ(get(port_, "/manifest", "If-None-Match: " + manifest.field("ETag") + "\r\n").status, 304);

@@ -1,7 +1,10 @@
 // What browsers and streamer get from each other.
+#include <sys/stat.h>
+
 #include "gateway/packet_gate.h"
 #include "gateway_fixture.h"
 #include "stream/replica.h"
+#include "viewer/packet_link.h"
 
 namespace splatbus::gateway_test {
 namespace {
@@ -77,6 +80,25 @@ TEST_F(Relay, ABrowserHoldsTheModelThatTheStreamerServes) {
   ASSERT_TRUE(page.until([&] { return page.replica().count() == 3000 && page.replica().missing_pages() == 0; }));
   trainer_.publish(stream::test::toy_model(3500, 1));
   EXPECT_TRUE(page.until([&] { return page.replica().count() == 3500; }));
+}
+
+TEST_F(Relay, TheStreamerIsToldWhoseConnectionsAreOfOneAddress) {
+  FakeStreamer& streamer = start_with_fake();
+  WebSocketClient first(port_), second(port_);
+  first.send_packet(hello().packet);
+  const std::string client = streamer.receive().client;
+  EXPECT_TRUE(stream::parse_client_frame(client)) << client;
+  second.send_packet(hello().packet);
+  EXPECT_EQ(streamer.receive().client, client);
+}
+
+TEST_F(Relay, NobodyConnectsWhereOthersMayHavePutASocket) {
+  const std::string open = directory_.path() + "/open";
+  ASSERT_EQ(::mkdir(open.c_str(), 0700), 0);
+  ASSERT_EQ(::chmod(open.c_str(), 0777), 0);
+  zmq::context_t context;
+  EXPECT_THROW(gateway::StreamLink(context, "ipc://" + open + "/streamer"), bus::Error);
+  EXPECT_THROW((void)viewer::make_zmq_link("ipc://" + open + "/streamer", "", ""), bus::Error);
 }
 
 TEST_F(Relay, ManyBrowsersHoldIt) {

@@ -141,6 +141,31 @@ TEST_F(Shared, PagesOverHttpComeFromTheOtherStreamer) {
   for (const auto& page : manifest["pages"]) EXPECT_EQ(get(port_, page["path"]).status, 200) << page["path"];
 }
 
+// That it has no key for, and no place at all.
+TEST_F(Shared, AnOfferThatCannotBeTakenIsPassedOver) {
+  const bus::Publisher far(connect("streamer-far")), nowhere(connect("streamer-nowhere"));
+  const auto offer = [](const bus::Publisher& publisher, const std::string& source, const char* endpoint) {
+    publisher.publish(topics::kStreamerOffer, {.latch_key = source}, [&](auto& builder, auto header) {
+      return wire::CreateStreamerOffer(builder, header,
+                                       builder.CreateVectorOfStrings(std::vector<std::string>{endpoint}), 0, 64, 200);
+    });
+  };
+  const auto lie = [&] {
+    offer(far, "streamer-far", "tcp://192.0.2.1:7600");
+    offer(nowhere, "streamer-nowhere", "tcp://nobody:99999999");
+    return true;
+  };
+  start_gateway("");
+  ASSERT_TRUE(until([&] { return lie() && offers_.size() == 2; }));
+  open_pages(1);  // while there is no other
+  const auto good = streamer("streamer-1");
+  trainer_.publish(stream::test::toy_model(1500, 1));
+  ASSERT_TRUE(until([&] { return lie() && offers_.size() == 3; }));
+  open_pages(3);
+  ASSERT_TRUE(until([&] { return lie() && all_hold(1500) && viewers("streamer-1") == 4; }));
+  EXPECT_EQ(get(port_, "/status").status, 200);
+}
+
 /// A native viewer, which asks the bus itself.
 TEST_F(Shared, ANativeViewerFindsAnotherStreamer) {
   auto first = streamer("streamer-1");
