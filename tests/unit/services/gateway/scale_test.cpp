@@ -157,12 +157,14 @@ TEST_F(Shared, AnOfferThatCannotBeTakenIsPassedOver) {
   };
   start_gateway("");
   ASSERT_TRUE(until([&] { return lie() && offers_.size() == 2; }));
-  open_pages(1);  // while there is no other
-  const auto good = streamer("streamer-1");
+  open_pages(1);                                              // while there is no other
+  const std::int64_t until_ns = bus::now_ns() + 500'000'000;  // in which the gateway looks for streamers some times
+  ASSERT_TRUE(until([&] { return lie() && bus::now_ns() > until_ns; }));
+  const auto good = streamer("streamer-of-all-last");
   trainer_.publish(stream::test::toy_model(1500, 1));
   ASSERT_TRUE(until([&] { return lie() && offers_.size() == 3; }));
   open_pages(3);
-  ASSERT_TRUE(until([&] { return lie() && all_hold(1500) && viewers("streamer-1") == 4; }));
+  ASSERT_TRUE(until([&] { return lie() && all_hold(1500) && viewers("streamer-of-all-last") == 4; }));
   EXPECT_EQ(get(port_, "/status").status, 200);
 }
 
