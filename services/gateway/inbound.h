@@ -10,8 +10,8 @@
 
 namespace splatbus::gateway {
 
-/// What all connections may say together in a second. While there is plenty each has what it asks for; the less is left,
-/// the less may one have said lately who is given more: busy ones wait, and the quiet do not notice. One thread.
+/// What all connections may say together in a second. While there is plenty each has what it asks for; the less is
+/// left, the less may one have said lately who is given more: busy ones wait, and the quiet do not notice. One thread.
 class FairBucket {
  public:
   explicit FairBucket(double per_second) : bucket_(per_second, per_second), burst_(per_second) {}

@@ -39,8 +39,7 @@ class BoundedBuckets {
     const auto full_ns = static_cast<std::int64_t>(burst_ / rate_ * 1e9);
     std::erase_if(entries_, [&](const auto& entry) { return now_ns - entry.second.used_ns > full_ns; });
     if (entries_.size() < kMax) return;
-    entries_.erase(
-        std::ranges::min_element(entries_, {}, [](const auto& entry) { return entry.second.used_ns; }));
+    entries_.erase(std::ranges::min_element(entries_, {}, [](const auto& entry) { return entry.second.used_ns; }));
   }
 
   double rate_, burst_;

@@ -34,7 +34,8 @@ TEST(RelayClient, IsReadAsItIsWritten) {
   for (const std::uint64_t client : {std::uint64_t{1}, ~std::uint64_t{0}}) {
     EXPECT_EQ(stream::parse_client_frame(stream::client_frame(client)), client);
   }
-  for (const char* none : {"", "client ", "client x", "client 1 ", "client -1", "client 18446744073709551616", "rights"})
+  for (const char* none :
+       {"", "client ", "client x", "client 1 ", "client -1", "client 18446744073709551616", "rights"})
     EXPECT_EQ(stream::parse_client_frame(none), std::nullopt) << none;
 }
 

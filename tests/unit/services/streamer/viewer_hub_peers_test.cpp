@@ -88,10 +88,9 @@ class HubPeersTest : public testing::Test {
   Endpoint endpoint_;
   stream::StreamModel model_{stream::PacketWriter("streamer", 1), 77, stream::StreamOptions{}};
   std::uint64_t poses_ = 0;
-  ViewerHub hub_{
-      endpoint_, model_, stream::PacketWriter("streamer", 1),
-      HubOptions{.max_viewers = kPlaces, .max_viewers_per_address = kPlacesOfOne, .viewer_kbps = kKbps},
-      HubEvents{.pose = [this](const auto&, const auto&) { ++poses_; }, .probe = {}, .quality = {}}};
+  ViewerHub hub_{endpoint_, model_, stream::PacketWriter("streamer", 1),
+                 HubOptions{.max_viewers = kPlaces, .max_viewers_per_address = kPlacesOfOne, .viewer_kbps = kKbps},
+                 HubEvents{.pose = [this](const auto&, const auto&) { ++poses_; }, .probe = {}, .quality = {}}};
   std::int64_t now_ns_ = kSecond;
 };
 
@@ -175,7 +174,9 @@ TEST_F(HubPeersTest, HelloAndByeBringNoBytesBeyondTheRate) {
   constexpr int kCycles = 4;
   constexpr double kAllowed = kKbps * 125 * (0.1 + 0.05 * kCycles) + 1000 * kCycles;  // and Welcomes
   const auto same = peer();
-  EXPECT_LE(static_cast<double>(bytes_of_cycles(kCycles, [&]() -> Peer& { return *same; }, hub_, now_ns_)), kAllowed);
+  EXPECT_LE(static_cast<double>(bytes_of_cycles(
+                kCycles, [&]() -> Peer& { return *same; }, hub_, now_ns_)),
+            kAllowed);
   now_ns_ += 20 * kSecond;
   std::vector<std::unique_ptr<Peer>> others;
   const auto another = [&]() -> Peer& { return *others.emplace_back(peer(7)); };
