@@ -169,7 +169,8 @@ int logs(const OperateOptions& options) {
   std::optional<Json> running;
   std::optional<LineSocket> supervisor;
   try {
-    running = ask_supervisor(bus, {{"verb", "status"}});
+    constexpr double kPatienceS = 2;
+    running = ask_supervisor(bus, {{"verb", "status"}}, {}, kPatienceS);
     supervisor.emplace(connect_control(bus));
   } catch (const NoSupervisor&) {
     if (options.follow) throw;
