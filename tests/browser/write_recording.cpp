@@ -55,7 +55,9 @@ void write(const fs::path& path, const fs::path& golden) {
                                .data = read(golden / fmt::format("{}.bin", name))};
     file.write(message);
   }
-  file.close({{"golden/Heartbeat", "3 (slow disk 3)"}});
+  cli::TopicRecord missing;
+  missing.slow_disk = 3;
+  file.close({{"golden/Heartbeat", missing}});
 }
 
 }  // namespace

@@ -19,6 +19,7 @@
 #include "stream/gpu_rows.h"
 #include "stream/held_hash.h"
 #include "wire/convert.h"
+#include "wire/picture_size.h"
 
 namespace splatbus::web {
 

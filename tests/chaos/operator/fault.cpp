@@ -7,8 +7,8 @@
 namespace splatbus::chaos {
 namespace {
 
-constexpr std::array kSwapped{"trainer",        "trainer",  "trainer", "expander", "relight",
-                              "capture-bridge", "streamer", "gateway", "viewer"};
+constexpr std::array kSwapped{"trainer", "trainer",        "trainer",  "expander", "relight",
+                              "bus",     "capture-bridge", "streamer", "gateway",  "viewer"};
 constexpr std::array kKilled{"bus",     "engine",   "capture-bridge", "expander", "trainer",
                              "relight", "streamer", "viewer",         "gateway"};
 

@@ -1,5 +1,6 @@
-// A live pipeline under a turning sun, with two viewers, which an operator swaps, scales, restarts and changes by
-// chance and by seed, while processes die: SPLATBUS_CHAOS_SECONDS (or --seconds) of it, SPLATBUS_CHAOS_SEED (or
+// A live pipeline under a turning sun, with two viewers, one of whom walks, which an operator swaps, scales, restarts
+// and changes by chance and by seed, while processes die: SPLATBUS_CHAOS_SECONDS (or --seconds) of it,
+// SPLATBUS_CHAOS_SEED (or
 // --seed). After each the picture is back; at the end the model is whole, and nothing is left that was not there at the
 // start. --only WORD leaves out the faults whose name has it not.
 #include <gtest/gtest.h>
@@ -8,6 +9,8 @@
 #include <algorithm>
 #include <cstdio>
 #include <cstdlib>
+#include <filesystem>
+#include <fstream>
 #include <numeric>
 
 #include "../../hostile/budgets.h"
@@ -40,15 +43,18 @@ constexpr std::size_t kLogBytesAFault = 65536;
 constexpr double kMoreSlabs = 8;
 constexpr std::int64_t kBeforeNs = 6'000'000'000;
 
-std::string launch_file() {
+/// Of those who look, one orbits and one walks.
+std::string launch_file(const std::filesystem::path& folder) {
+  const std::string path_file = folder / "walk.txt";
+  std::ofstream(path_file) << "4 1.5 0\n0 1.5 4\n-4 1.5 0\n0 1.5 -4\n";
   std::string text = cli::Pipeline::launch_file();
   const std::string args = R"(args: [--fps, "10"])";
   text.replace(text.find(args), args.size(), R"(args: [--fps, "10", --sun-rate, "1"])");
   return text + R"(
   - name: second-viewer
     program: splatbus-viewer
-    parameters: {threads: 1, width: 64, height: 64}
-)";
+    parameters: {threads: 1, width: 64, height: 64, path: walk, path_end: loop, path_file: )" +
+         path_file + "}\n";
 }
 
 class OperatorChaos : public testing::Test {
@@ -134,7 +140,8 @@ class OperatorChaos : public testing::Test {
     std::printf("slabs %.0f (%.0f), log %zu bytes\n", after.slabs, before.slabs, pipeline_.log_bytes());
   }
 
-  PipelineUnderFire pipeline_{launch_file()};
+  cli::PrivateBusFolder folder_;
+  PipelineUnderFire pipeline_{launch_file(folder_.path())};
   std::size_t log_bytes_ = 0;
 };
 

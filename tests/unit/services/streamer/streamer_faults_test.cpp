@@ -226,7 +226,7 @@ TEST_F(SteppedStreamerTest, WhatARestingModelDidNotUseIsNotSpentLater) {
     const std::uint64_t before = client.received_bytes();
     for (int k = 0; k < 10; ++k) {
       stepped_->turn(0.1);
-      for (int quiet = 0; quiet < 3;) {
+      for (int quiet = 0; quiet < 20;) {
         const std::uint64_t bytes = client.received_bytes();
         client.poll(1ms);
         quiet = client.received_bytes() == bytes ? quiet + 1 : 0;
