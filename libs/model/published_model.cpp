@@ -132,8 +132,11 @@ bool PublishedModel::read_pages(const bus::Message& message, std::size_t arenas)
     if (!model::is_present(now.state) || now.count == 0) continue;
     if (now.count > kPageLanes) reject(message, fmt::format("page {} holds {} Gaussians", page, now.count));
     const std::size_t arena = page / model::kArenaPages;
-    if (arena >= arenas || page % model::kArenaPages >= tensors_[1 + arena].dim(0)) {
-      // In shared memory the model may have grown since: a later message has the page.
+    // A slab has all of its arena, however many pages of it were in use when it was told of.
+    const bool there = arena < arenas && (tensors_[1 + arena].slab() != nullptr ||
+                                          page % model::kArenaPages < tensors_[1 + arena].dim(0));
+    if (!there) {
+      // In shared memory the model may have grown since: a later message has the arena.
       if (table_copy_ == nullptr) return false;
       reject(message, fmt::format("page {} is in none of its arenas", page));
     }

@@ -134,11 +134,15 @@ class TrainerTest : public bus_test::BusTest {
     }
     std::vector<std::uint32_t> words;
     for (int arena = 0; message.announces("pages-" + std::to_string(arena)); ++arena) {
-      const auto pages = message.tensor("pages-" + std::to_string(arena), bus::ElementType::U32,
-                                        {model::kArenaPages, model::page_words(layout)});
+      const auto pages =
+          message.tensor("pages-" + std::to_string(arena), bus::ElementType::U32, {0, model::page_words(layout)});
       if (!pages) return std::nullopt;
       words.resize(words.size() + pages->elements());
       if (!pages->copy(words.data() + words.size() - pages->elements())) return std::nullopt;
+    }
+    // It may have grown since it was told of.
+    if (!ranges.empty() && (ranges.back().first >> kPageShift) >= words.size() / model::page_words(layout)) {
+      return std::nullopt;
     }
     return HostModel(layout, ranges, std::move(words));
   }
