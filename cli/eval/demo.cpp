@@ -2,8 +2,10 @@
 
 #include <CLI/CLI.hpp>
 #include <cstdio>
+#include <cstdlib>
 #include <filesystem>
 #include <nlohmann/json.hpp>
+#include <string>
 
 #include "demo_run.h"
 #include "launch_plan.h"
@@ -14,6 +16,12 @@
 namespace splatbus::cli {
 
 namespace {
+
+/// The script of a source tree says what it was called by.
+std::string command_as_typed() {
+  const char* const typed = std::getenv("SPLATBUS_TYPED_AS");
+  return typed ? typed : "splatbus";
+}
 
 struct DemoVerbOptions {
   DemoOptions demo;
@@ -63,7 +71,7 @@ int demo(DemoVerbOptions options) {
     fmt::print("{:.0f} s demo on the bus {}\n", options.demo.seconds, start.bus);
     // Its first use would build it, on the cores that the demo needs.
     if (std::filesystem::exists(program_directory() / "splatbus"))
-      fmt::print("look inside with: ./splatbus node list --bus {}\n", start.bus);
+      fmt::print("look inside with: {} node list --bus {}\n", command_as_typed(), start.bus);
     if (start.gateway) fmt::print("{}\n", invitation(*start.gateway));
     std::fflush(stdout);
   };
