@@ -16,7 +16,8 @@ namespace {
 using Json = nlohmann::ordered_json;
 
 constexpr const char* kComposeSecrets = "/run/secrets";  // where compose mounts them
-constexpr const char* kComplete = "complete";            // a file beside the keys, once all are there
+constexpr int kComposeGraceS = 10;                       // of Docker where nothing is said
+constexpr const char* kComplete = "complete";  // a file of the container's that copies them, once all are there
 
 /// Compose takes $ for a variable of its own.
 std::string literal(const std::string& text) {
@@ -64,56 +65,72 @@ Json ports_of(const DeployProcess& process) {
   return ports;
 }
 
-/// The container whose processes' numbers and ipc the others have: slabs go from process to process as descriptors, to
-/// whose owner the registry looks, and CUDA's share memory by ipc. It ends with none of them, and it holds the volumes
-/// in memory while they come and go. Secrets are the host's files there, with its owners and modes, so that root copies
-/// them: again whenever it starts.
-Json machine_of(const DeployOptions& options, const std::set<std::string>& files) {
-  Json machine{{"image", options.image}, {"init", true},
-               {"restart", "always"},    {"ipc", "shareable"},
-               {"shm_size", "2gb"},      {"volumes", Json::array({fmt::format("run:{}", kBusFolder)})}};
-  if (files.empty()) {
-    machine["user"] = fmt::format("{0}:{0}", kUser);
-    machine["command"] = {"sleep", "infinity"};
-    return machine;
+using Secrets = std::map<std::string, std::set<std::string>>;
+
+/// Its own volume for each entry: who reads one key does not read all.
+std::string key_volume(const std::string& entry) {
+  return "keys-" + entry;
+}
+
+/// A container that sleeps, and holds volumes in memory while those come and go who use them. Secrets are the host's
+/// files there, with its owners and modes, so that root copies them: again whenever it starts.
+Json holder_of(const DeployOptions& options, const Secrets& secrets) {
+  Json holder{{"image", options.image}, {"init", true}, {"restart", "always"}};
+  if (secrets.empty()) {
+    holder["user"] = fmt::format("{0}:{0}", kUser);
+    holder["command"] = {"sleep", "infinity"};
+    return holder;
   }
-  std::string sources;
-  for (const std::string& file : files) sources += fmt::format(" {}/{}", kComposeSecrets, file);
-  const std::string complete = fmt::format("{}/{}", kKeyFolder, kComplete);
-  machine["user"] = "0:0";
-  machine["command"] = {"sh", "-c",
-                        fmt::format("rm -f {0} && install -o {1} -g {1} -m 0600 -t {2}{3} && touch {0} && "
-                                    "exec sleep infinity",
-                                    complete, kUser, kKeyFolder, sources)};
-  machine["volumes"].push_back(fmt::format("keys:{}", kKeyFolder));
-  machine["secrets"] = files;
-  machine["healthcheck"] = {
+  const std::string complete = fmt::format("{}/{}", kRunFolder, kComplete);
+  std::set<std::string> all;
+  std::string line = fmt::format("rm -f {}", complete);
+  for (const auto& [entry, files] : secrets) {
+    line += fmt::format(" && install -o {0} -g {0} -m 0600 -t {1}/{2}", kUser, kKeyFolder, entry);
+    for (const std::string& file : files) line += fmt::format(" {}/{}", kComposeSecrets, file);
+    all.insert(files.begin(), files.end());
+    holder["volumes"].push_back(fmt::format("{}:{}/{}", key_volume(entry), kKeyFolder, entry));
+  }
+  holder["user"] = "0:0";
+  holder["command"] = {"sh", "-c", fmt::format("{} && touch {} && exec sleep infinity", line, complete)};
+  holder["secrets"] = all;
+  holder["healthcheck"] = {
       {"test", {"CMD", "test", "-e", complete}}, {"interval", "2s"}, {"timeout", "2s"}, {"retries", 15}};
+  return holder;
+}
+
+/// That whose processes' numbers and ipc the others of its host have: slabs go from process to process as descriptors,
+/// to whose owner the registry looks, and CUDA's share memory by ipc. It ends with none of them.
+Json machine_of(const DeployOptions& options, const Secrets& secrets) {
+  Json machine = holder_of(options, secrets);
+  machine["ipc"] = "shareable";
+  machine["shm_size"] = "2gb";
+  machine["volumes"].push_back(fmt::format("run:{}", kBusFolder));
   return machine;
 }
 
 /// What all services of the file have in common.
 struct Surroundings {
   const DeployOptions& options;
-  std::string machine;                   ///< name of the container that the others live in
-  bool has_keys;                         ///< which it copies first
+  std::string machine;                   ///< name of the container that the others of its host live in
   std::map<std::string, bool> is_asked;  ///< by process: it has a health
 };
 
-Json service_of(const DeployProcess& process, const Surroundings& around, bool remote) {
+/// `holder`: the container that has to be there first, if any.
+Json service_of(const DeployProcess& process, const Surroundings& around, bool remote, const std::string& holder,
+                bool holds_keys) {
   Json environment = Json::object();
   for (const auto& [key, value] : process.environment) environment[key] = literal(value);
   Json service{{"image", around.options.image},
                {"user", fmt::format("{0}:{0}", kUser)},
                {"command", literals(process.command)},
                {"restart", restart_of(process.restart)},
-               {"stop_grace_period", seconds(whole_seconds(process.stop_timeout_s))}};
+               {"stop_grace_period", seconds(grace_seconds(process.stop_timeout_s, kComposeGraceS))}};
   // A step of nice(2) is a factor of 1.25 of what a process gets of a processor that others want too.
   if (process.nice > 0) service["cpu_shares"] = std::lround(1024 / std::pow(1.25, process.nice));
   if (remote) environment["SPLATBUS_SERVER_KEY"] = "${SPLATBUS_SERVER_KEY:?the bus's public key}";
   if (!environment.empty()) service["environment"] = environment;
-  if (!remote || !process.secrets.empty()) {
-    service["depends_on"][around.machine] = {{"condition", around.has_keys ? "service_healthy" : "service_started"}};
+  if (!holder.empty()) {
+    service["depends_on"][holder] = {{"condition", holds_keys ? "service_healthy" : "service_started"}};
   }
   for (const std::string& name : process.after) {
     service["depends_on"][name] = {{"condition", around.is_asked.at(name) ? "service_healthy" : "service_started"}};
@@ -126,7 +143,7 @@ Json service_of(const DeployProcess& process, const Surroundings& around, bool r
     service["ipc"] = fmt::format("service:{}", around.machine);
     volumes.push_back(fmt::format("run:{}", kBusFolder));
   }
-  if (!process.secrets.empty()) volumes.push_back(fmt::format("keys:{}:ro", kKeyFolder));
+  if (!process.secrets.empty()) volumes.push_back(fmt::format("{}:{}:ro", key_volume(process.service), kKeyFolder));
   if (process.has_world) volumes.push_back(fmt::format("world:{}", kWorldFolder));
   if (!volumes.empty()) service["volumes"] = volumes;
   if (const Json health = health_of(process); !health.is_null()) service["healthcheck"] = health;
@@ -141,30 +158,36 @@ Json service_of(const DeployProcess& process, const Surroundings& around, bool r
 }  // namespace
 
 std::string compose_text(const DeployPlan& plan, const DeployOptions& options) {
-  std::set<std::string> files;
-  bool has_world = false;
-  Surroundings around{.options = options, .machine = unused_name(plan, "machine"), .has_keys = false, .is_asked = {}};
+  Surroundings around{.options = options, .machine = unused_name(plan, "machine"), .is_asked = {}};
   for (const auto* part : {&plan.local, &plan.remote}) {
-    for (const DeployProcess& process : *part) {
-      around.is_asked[process.name] = !health_of(process).is_null();
-      files.insert(process.secrets.begin(), process.secrets.end());
-      has_world = has_world || process.has_world;
-    }
+    for (const DeployProcess& process : *part) around.is_asked[process.name] = !health_of(process).is_null();
   }
-  around.has_keys = !files.empty();
-  Json services = Json::object(), secrets = Json::object();
-  services[around.machine] = machine_of(options, files);
-  for (const auto* part : {&plan.local, &plan.remote}) {
-    for (const DeployProcess& process : *part) {
-      services[process.name] = service_of(process, around, part == &plan.remote);
-    }
-  }
-  for (const std::string& file : files) secrets[file] = {{"file", "./secrets/" + file}};
   const Json memory{{"driver_opts",
                      {{"type", "tmpfs"}, {"device", "tmpfs"}, {"o", fmt::format("mode=0700,uid={0},gid={0}", kUser)}}}};
-  Json volumes{{"run", memory}};
-  if (around.has_keys) volumes["keys"] = memory;
-  if (has_world) volumes["world"] = Json::object();
+  Json services = Json::object(), secrets = Json::object(), volumes{{"run", memory}};
+  const auto declare = [&](const Secrets& held) {
+    for (const auto& [entry, files] : held) {
+      volumes[key_volume(entry)] = memory;
+      for (const std::string& file : files) secrets[file] = {{"file", "./secrets/" + file}};
+    }
+  };
+  const Secrets here = secrets_by_service(plan.local);
+  declare(here);
+  services[around.machine] = machine_of(options, here);
+  for (const DeployProcess& process : plan.local) {
+    services[process.name] = service_of(process, around, false, around.machine, !here.empty());
+    if (process.has_world) volumes["world"] = Json::object();
+  }
+  // Each entry elsewhere has a holder of its own: no other key has to be on its host.
+  const Secrets elsewhere = secrets_by_service(plan.remote);
+  declare(elsewhere);
+  for (const DeployProcess& process : plan.remote) {
+    const auto own = elsewhere.find(process.service);
+    const std::string holder = own == elsewhere.end() ? "" : unused_name(plan, around.machine + "-" + process.service);
+    if (!holder.empty()) services[holder] = holder_of(options, {*own});
+    services[process.name] = service_of(process, around, true, holder, true);
+    if (process.has_world) volumes["world"] = Json::object();
+  }
   Json file{{"services", services}, {"volumes", volumes}};
   if (!secrets.empty()) file["secrets"] = secrets;
   return fmt::format(

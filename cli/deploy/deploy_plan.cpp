@@ -17,6 +17,9 @@ namespace {
 
 namespace fs = std::filesystem;
 
+constexpr int kGatewayPort = 7680;         // where it listens when nothing is said
+constexpr const char* kBusWithinS = "60";  // of containers that start together the bus may be the last
+
 std::string host_name(const std::string& text) {
   std::string name;
   for (const unsigned char c : text) {
@@ -63,12 +66,26 @@ int port_of(const std::string& endpoint) {
   }
 }
 
+/// It listens at another port than the launch file says, or on all addresses: its probes ask there.
+void move_probes(DeployProcess& process, int from, int to) {
+  for (std::optional<Probe>* probe : {&process.readiness, &process.liveness}) {
+    if (!*probe || (*probe)->kind == Probe::Kind::Command) continue;
+    std::string& target = (*probe)->target;
+    const std::size_t scheme = target.find("://");
+    const std::size_t begin = scheme == std::string::npos ? 0 : scheme + 3;
+    const std::size_t end = std::min(target.find('/', begin), target.size());
+    if (port_of(target.substr(begin, end - begin)) != from) continue;
+    target.replace(begin, end - begin, fmt::format("127.0.0.1:{}", to));
+  }
+}
+
 void place_broker(DeployProcess& process) {
   for (std::size_t i = 0; i + 1 < process.command.size(); ++i) {
     if (process.command[i] != "--tcp") continue;
     const int port = port_of(process.command[i + 1]);
     process.command[i + 1] = fmt::format("0.0.0.0:{}", port);
     process.ports = {{"bus", port}, {"bus-read", port + 1}};
+    for (const DeployPort& open : process.ports) move_probes(process, open.port, open.port);
     process.command.insert(process.command.end(),
                            {"--key", secret(process, "server_key"), "--allowed", secret(process, "allowed")});
     return;
@@ -77,6 +94,8 @@ void place_broker(DeployProcess& process) {
 
 void place_gateway(DeployProcess& process, const DeployOptions& options) {
   process.ports = {{"http", options.gateway_port}};
+  const std::string before = parameter(process, "http");
+  move_probes(process, before.empty() ? kGatewayPort : port_of(before), options.gateway_port);
   set_parameter(process, "http", fmt::format("0.0.0.0:{}", options.gateway_port));
   set_parameter(process, "tokens", secret(process, "tokens"));
   if (parameter(process, "certificate").empty()) {
@@ -89,6 +108,7 @@ void place_gateway(DeployProcess& process, const DeployOptions& options) {
 
 void place_streamer(DeployProcess& process, int port) {
   process.ports = {{"stream", port}};
+  move_probes(process, port_of(parameter(process, "tcp")), port);
   set_parameter(process, "tcp", fmt::format("tcp://0.0.0.0:{}", port));
   set_parameter(process, "tcp_address", process.name);
   set_parameter(process, "key", secret(process, "server_key"));
@@ -122,6 +142,10 @@ DeployProcess containerised(const ProcessPlan& plan, const LaunchService& servic
   const bool is_ours = plan.program.parent_path() == programs;
   process.command = {is_ours ? plan.program.filename().string() : plan.program.string()};
   process.command.insert(process.command.end(), plan.arguments.begin(), plan.arguments.end());
+  const std::string verb = process.command.size() > 1 ? process.command[1] : "";
+  if (is_ours && process.command[0] == "splatbus" && (verb == "record" || verb == "play")) {
+    process.command.insert(process.command.begin() + 2, {"--wait", kBusWithinS});
+  }
   process.environment = plan.environment;
   process.nice = plan.nice;
   process.restart = plan.restart;
@@ -155,6 +179,19 @@ std::string unused_name(const DeployPlan& plan, std::string wanted) {
 
 int whole_seconds(double seconds) {
   return std::max(1, static_cast<int>(std::ceil(seconds)));
+}
+
+int grace_seconds(double stop_timeout_s, int usual_s) {
+  constexpr int kSlackS = 2;  // what a process takes after its own time to end is up
+  return std::max(usual_s, whole_seconds(stop_timeout_s) + kSlackS);
+}
+
+std::map<std::string, std::set<std::string>> secrets_by_service(const std::vector<DeployProcess>& processes) {
+  std::map<std::string, std::set<std::string>> files;
+  for (const DeployProcess& process : processes) {
+    if (!process.secrets.empty()) files[process.service].insert(process.secrets.begin(), process.secrets.end());
+  }
+  return files;
 }
 
 std::vector<std::string> probe_command(const Probe& probe) {
@@ -199,12 +236,13 @@ DeployPlan plan_deployment(const LaunchFile& file, const fs::path& programs, con
     if (remote) place_client(placed, bus->second);
     (remote ? plan.remote : plan.local).push_back(std::move(placed));
   }
-  // Only what is there is waited for.
+  // Only what is there is waited for: by an entry on another machine nobody of this one.
   std::set<std::string> names;
   for (const DeployProcess& process : plan.local) names.insert(process.name);
   for (auto* part : {&plan.local, &plan.remote}) {
     for (DeployProcess& process : *part) {
-      std::erase_if(process.after, [&](const std::string& name) { return !names.contains(name); });
+      std::erase_if(process.after,
+                    [&](const std::string& name) { return part == &plan.remote || !names.contains(name); });
     }
   }
   return plan;

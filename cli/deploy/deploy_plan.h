@@ -3,6 +3,7 @@
 #include <filesystem>
 #include <map>
 #include <optional>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -75,6 +76,14 @@ inline constexpr const char* kWorldFolder = "/var/lib/splatbus/world";
 
 /// In whole seconds, as orchestrators count: not less.
 [[nodiscard]] int whole_seconds(double seconds);
+
+/// From an orchestrator's SIGTERM to its SIGKILL: not before the process's own time is up, nor sooner than
+/// `usual_s`.
+[[nodiscard]] int grace_seconds(double stop_timeout_s, int usual_s);
+
+/// Files of kKeyFolder that each entry's processes read, of those that read any.
+[[nodiscard]] std::map<std::string, std::set<std::string>> secrets_by_service(
+    const std::vector<DeployProcess>& processes);
 
 /// As a docker compose file, by the Compose specification.
 [[nodiscard]] std::string compose_text(const DeployPlan& plan, const DeployOptions& options);

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <nlohmann/json.hpp>
 #include <optional>
-#include <set>
 
 #include "deploy_plan.h"
 #include "yaml_text.h"
@@ -16,6 +15,7 @@ using Json = nlohmann::ordered_json;
 
 constexpr const char* kSecret = "splatbus-keys";
 constexpr const char* kPodSecretFolder = "/run/splatbus-secret";  // below /run/secrets Kubernetes mounts its own
+constexpr int kPodGraceS = 15;
 constexpr const char* kMemory = "8Gi";  // of slabs in /dev/shm and of the bus's folder, at most
 
 Json labels(const DeployPlan& plan, const std::string& component) {
@@ -97,7 +97,10 @@ Json container_of(const DeployProcess& process, const DeployOptions& options, co
   }
   for (const auto& [key, value] : process.environment) environment.push_back({{"name", key}, {"value", plain(value)}});
   for (const DeployPort& port : process.ports) ports.push_back({{"name", port.name}, {"containerPort", port.port}});
-  if (!of_set || !process.secrets.empty()) mounts.push_back({{"name", "run"}, {"mountPath", kRunFolder}});
+  if (!of_set) mounts.push_back({{"name", "run"}, {"mountPath", kRunFolder}});
+  if (!process.secrets.empty()) {
+    mounts.push_back({{"name", "keys"}, {"mountPath", kKeyFolder}, {"subPath", process.service}, {"readOnly", true}});
+  }
   if (!of_set) mounts.push_back({{"name", "shm"}, {"mountPath", "/dev/shm"}});
   if (process.has_world) mounts.push_back({{"name", "world"}, {"mountPath", kWorldFolder}});
   Json container{{"name", process.name}, {"image", options.image}, {"command", command}};
@@ -115,16 +118,13 @@ Json memory(const char* name) {
 
 /// A pod of these processes, whose containers have one user. What is mounted is root's, and the user's by its group: a
 /// folder in memory is not fit for a bus then, nor are secrets for keys. So the bus makes its own folder there, and a
-/// container that runs first copies the keys to another, as files of the user's alone.
+/// container that runs first copies the keys to another, as files of the user's alone: a folder for each entry, which
+/// its containers alone mount.
 Json pod_of(const DeployPlan& plan, const DeployOptions& options, const std::vector<DeployProcess>& processes,
             const Json& containers) {
-  std::set<std::string> files;
   double stop_timeout_s = 0;  // Kubernetes stops all containers of a pod at once
-  for (const DeployProcess& process : processes) {
-    files.insert(process.secrets.begin(), process.secrets.end());
-    stop_timeout_s = std::max(stop_timeout_s, process.stop_timeout_s);
-  }
-  Json pod{{"terminationGracePeriodSeconds", whole_seconds(stop_timeout_s)},
+  for (const DeployProcess& process : processes) stop_timeout_s = std::max(stop_timeout_s, process.stop_timeout_s);
+  Json pod{{"terminationGracePeriodSeconds", grace_seconds(stop_timeout_s, kPodGraceS)},
            {"automountServiceAccountToken", false},
            {"securityContext",
             {{"runAsNonRoot", true},
@@ -133,19 +133,22 @@ Json pod_of(const DeployPlan& plan, const DeployOptions& options, const std::vec
              {"fsGroup", kUser},
              {"fsGroupChangePolicy", "OnRootMismatch"}}}};
   Json volumes = Json::array();
-  if (!files.empty()) {
-    std::string sources;
-    for (const std::string& file : files) sources += fmt::format(" {}/{}", kPodSecretFolder, file);
-    pod["initContainers"] = Json::array(
-        {{{"name", unused_name(plan, "keys")},
-          {"image", options.image},
-          {"command",
-           {"sh", "-c", fmt::format("install -d -m 0700 {0} && install -m 0600 -t {0}{1}", kKeyFolder, sources)}},
-          {"volumeMounts",
-           {{{"name", "run"}, {"mountPath", kRunFolder}},
-            {{"name", "secret"}, {"mountPath", kPodSecretFolder}, {"readOnly", true}}}}}});
+  if (const auto secrets = secrets_by_service(processes); !secrets.empty()) {
+    std::string line;
+    for (const auto& [entry, files] : secrets) {
+      line += fmt::format("{0}install -d -m 0700 {1}/{2} && install -m 0600 -t {1}/{2}", line.empty() ? "" : " && ",
+                          kKeyFolder, entry);
+      for (const std::string& file : files) line += fmt::format(" {}/{}", kPodSecretFolder, file);
+    }
+    pod["initContainers"] =
+        Json::array({{{"name", unused_name(plan, "keys")},
+                      {"image", options.image},
+                      {"command", {"sh", "-c", line}},
+                      {"volumeMounts",
+                       {{{"name", "keys"}, {"mountPath", kKeyFolder}},
+                        {{"name", "secret"}, {"mountPath", kPodSecretFolder}, {"readOnly", true}}}}}});
     volumes.push_back({{"name", "secret"}, {"secret", {{"secretName", kSecret}, {"defaultMode", 0440}}}});
-    volumes.push_back(memory("run"));
+    volumes.push_back(memory("keys"));
   }
   pod["containers"] = containers;
   if (!volumes.empty()) pod["volumes"] = volumes;
@@ -164,7 +167,7 @@ Json pod_of_machine(const DeployPlan& plan, const DeployOptions& options) {
   }
   Json spec = pod_of(plan, options, plan.local, containers);
   Json& volumes = spec["volumes"];
-  if (volumes.is_null()) volumes.push_back(memory("run"));
+  volumes.push_back(memory("run"));
   volumes.push_back(memory("shm"));
   for (const DeployProcess& process : plan.local) {
     if (process.has_world)

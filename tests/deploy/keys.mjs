@@ -2,7 +2,7 @@
 // broker as it is exported: it takes its keys and the bus's folder, or ends.
 import assert from "node:assert/strict";
 import { execFileSync, spawn } from "node:child_process";
-import { chmodSync, copyFileSync, existsSync, lstatSync, mkdirSync, mkdtempSync, rmSync, symlinkSync, writeFileSync } from "node:fs";
+import { chmodSync, copyFileSync, existsSync, lstatSync, mkdirSync, mkdtempSync, readdirSync, rmSync, symlinkSync, writeFileSync } from "node:fs";
 import { createServer } from "node:net";
 import { tmpdir } from "node:os";
 import { dirname, join } from "node:path";
@@ -91,32 +91,46 @@ export async function checkKeys(splatbus, pod, farPod, services) {
       mkdirSync(run);
       chmodSync(run, 0o2777);
       const [first] = spec.initContainers;
-      assert.deepEqual(first.volumeMounts.map((mount) => mount.mountPath), ["/run/splatbus", "/run/splatbus-secret"]);
+      assert.deepEqual(first.volumeMounts.map((mount) => mount.mountPath), ["/run/splatbus/keys", "/run/splatbus-secret"]);
       execFileSync(first.command[0], first.command.slice(1).map(place));
-      assert.equal((lstatSync(join(run, "keys")).mode & 0o777).toString(8), "700");
-      const wanted = spec.containers.flatMap((one) => [...one.command, ...one.env.map((entry) => entry.value ?? "")])
-        .flatMap((word) => word.match(/\/run\/splatbus\/keys\/\w+/g) ?? []);
-      assert.ok(wanted.length > 0);
-      for (const file of wanted) expectPrivate(place(file), user);
+      let wanted = 0;
+      for (const one of spec.containers) {
+        const words = [...one.command, ...(one.env ?? []).map((entry) => entry.value ?? "")];
+        const files = new Set(words.flatMap((word) => word.match(/(?<=\/run\/splatbus\/keys\/)\w+/g) ?? []));
+        const mount = (one.volumeMounts ?? []).find(({ name }) => name === "keys");
+        if (!mount) continue;
+        const own = join(run, "keys", mount.subPath);
+        assert.equal((lstatSync(own).mode & 0o777).toString(8), "700");
+        assert.deepEqual(readdirSync(own).sort(), [...files].sort(), `${one.name} has what it reads, and nothing else`);
+        for (const file of files) expectPrivate(join(own, file), user);
+        wanted += files.size;
+      }
+      assert.ok(wanted > 0);
     }
     execFileSync(pod.initContainers[0].command[0], pod.initContainers[0].command.slice(1).map(place));
-    await brokerRuns(splatbus, pod.containers[0].command, place);
+    await brokerRuns(splatbus, pod.containers[0].command, (word) => place(word).replace(`${run}/keys/`, `${run}/keys/bus/`));
 
     // Compose: folders in memory that are the user's, and the host's files.
     const folder = join(room, "compose");
-    for (const name of ["bus", "keys"]) mkdirSync(join(folder, name), { recursive: true, mode: 0o700 });
+    const inCompose = (path) => path.replace("/run/splatbus", folder);
+    mkdirSync(folder);
+    for (const volume of services.machine.volumes) mkdirSync(inCompose(volume.split(":")[1]), { recursive: true, mode: 0o700 });
     const owner = user === 0 ? 10001 : user;
     const inFolder = (word) => word.replaceAll("/run/secrets", secrets).replaceAll("/run/splatbus/", `${folder}/`)
-      .replace("-o 10001 -g 10001", user === 0 ? "-o 10001 -g 10001" : "");
+      .replaceAll("-o 10001 -g 10001", user === 0 ? "-o 10001 -g 10001" : "");
     const [, ...check] = services.machine.healthcheck.test.map(inFolder);
     assert.throws(() => execFileSync(check[0], check.slice(1), { stdio: "ignore" }), "not before they are there");
     const [shell, ...line] = services.machine.command.map(inFolder);
     const machine = spawn(shell, line, { stdio: "ignore" });
-    for (let attempt = 0; attempt < 100 && !existsSync(join(folder, "keys/complete")); ++attempt) await wait(50);
+    for (let attempt = 0; attempt < 100 && !existsSync(join(folder, "complete")); ++attempt) await wait(50);
     execFileSync(check[0], check.slice(1));
     assert.equal(machine.exitCode, null, "it stays");
     machine.kill();
-    for (const name of services.machine.secrets) expectPrivate(join(folder, "keys", name), owner);
+    assert.deepEqual(readdirSync(join(folder, "keys/bus")).sort(), ["allowed", "server_key"]);
+    assert.deepEqual(readdirSync(join(folder, "keys/gateway")), ["tokens"]);
+    for (const name of ["bus/allowed", "bus/server_key", "streamer/server_key", "gateway/tokens"]) {
+      expectPrivate(join(folder, "keys", name), owner);
+    }
   } finally {
     rmSync(room, { recursive: true, force: true });
   }
