@@ -10,6 +10,7 @@
 #include <cstring>
 #include <memory>
 #include <string>
+#include <thread>
 
 #include "bus/error.h"
 #include "bus/file_descriptor.h"
@@ -19,6 +20,7 @@ namespace splatbus::cli {
 namespace {
 
 constexpr int kTcpPatienceMs = 3000;
+constexpr std::chrono::milliseconds kLookAgainAfter(100);
 
 [[noreturn]] void refuse(const bus::Address& address, const std::string& why) {
   throw bus::Error(fmt::format("no bus at {}: {}", address.text(), why));
@@ -67,6 +69,18 @@ void require_bus(const bus::Address& address) {
     probe_local(address);
   } else {
     probe_tcp(address);
+  }
+}
+
+void require_bus(const bus::Address& address, std::chrono::duration<double> wait, const std::stop_token& stop) {
+  const auto end = std::chrono::steady_clock::now() + wait;
+  for (;;) {
+    try {
+      return require_bus(address);
+    } catch (const bus::Error&) {
+      if (stop.stop_requested() || std::chrono::steady_clock::now() >= end) throw;
+    }
+    std::this_thread::sleep_for(kLookAgainAfter);
   }
 }
 

@@ -30,6 +30,7 @@ struct PlayVerbOptions {
   std::string bus, name, path, clock = "now";
   std::vector<std::string> remap;
   PlayOptions play;
+  double wait_s = 0;
   bool json = false;
 };
 
@@ -94,7 +95,7 @@ int play(const PlayVerbOptions& options) {
   const StopSignals signals;
   mcap::Reader reader(options.path);
   const bus::Address address = bus_address(options.bus);
-  require_bus(address);
+  require_bus(address, std::chrono::duration<double>(options.wait_s), signals.stop());
   const auto context =
       bus::Context::create(address, options.name.empty() ? fmt::format("play-{}", ::getpid()) : options.name);
   if (!context->wait_connected(kBusPatience)) {
@@ -171,6 +172,8 @@ void add_play_verb(CLI::App& app, Action& action) {
       ->allow_extra_args(false);
   verb->add_option("--clock", options->clock, "times in headers: now (of this machine) or as recorded (default now)")
       ->check(CLI::IsMember({"now", "recorded"}));
+  verb->add_option("--wait", options->wait_s, "seconds in which the bus may come to be there (default 0)")
+      ->check(CLI::Range(0.0, 86400.0));
   verb->add_option("--name", options->name, "name on the bus of this command itself (default: play-PID)");
   verb->add_flag("--json", options->json, "print the result as JSON");
   add_bus_option(*verb, options->bus);

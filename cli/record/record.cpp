@@ -33,7 +33,7 @@ constexpr std::int64_t kSecondNs = 1'000'000'000;
 struct RecordOptions {
   std::string bus, name, path, launch_file;
   std::vector<std::string> topics{"*"}, exclude, payloads;
-  double seconds = 0;
+  double seconds = 0, wait_s = 0;
   std::uint64_t max_mb = 0, buffer_mb = 256;
   bool split = false, json = false;
 };
@@ -141,7 +141,7 @@ int record(const RecordOptions& options) {
   const StopSignals signals;
   const fs::path path = options.path.empty() ? default_path() : fs::path(options.path);
   const bus::Address address = bus_address(options.bus);
-  require_bus(address);
+  require_bus(address, std::chrono::duration<double>(options.wait_s), signals.stop());
   const auto context =
       bus::Context::create(address, options.name.empty() ? fmt::format("record-{}", ::getpid()) : options.name);
   if (!context->wait_connected(kBusPatience)) {
@@ -216,6 +216,8 @@ void add_record_verb(CLI::App& app, Action& action) {
                    "memory between the bus and the disk; beyond it messages are dropped and counted (default 256)")
       ->check(CLI::Range(8, 65536));
   verb->add_option("--launch", options->launch_file, "launch file to keep in the recording");
+  verb->add_option("--wait", options->wait_s, "seconds in which the bus may come to be there (default 0)")
+      ->check(CLI::Range(0.0, 86400.0));
   verb->add_option("--name", options->name, "name on the bus (default: record-PID)");
   verb->add_flag("--json", options->json, "print the result as JSON");
   add_bus_option(*verb, options->bus);

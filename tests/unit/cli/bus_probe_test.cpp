@@ -39,5 +39,18 @@ TEST_F(BusProbe, SaysAtOnceThatThereIsNone) {
               HasSubstr("no bus at tcp://no.such.host.invalid:5000: "));
 }
 
+TEST_F(BusProbe, WaitsNoLongerThanItIsToldTo) {
+  broker_->stop();
+  const auto start = std::chrono::steady_clock::now();
+  const auto waits = [&](double seconds, const std::stop_token& stop) {
+    require_bus(directory_.address(), std::chrono::duration<double>(seconds), stop);
+  };
+  EXPECT_THROW(waits(0.3, {}), bus::Error);
+  EXPECT_GE(std::chrono::steady_clock::now() - start, std::chrono::milliseconds(300));
+  std::stop_source stop;
+  stop.request_stop();
+  EXPECT_THROW(waits(1e6, stop.get_token()), bus::Error) << "Ctrl-C ends it";
+}
+
 }  // namespace
 }  // namespace splatbus::cli

@@ -1,5 +1,7 @@
 #include <gmock/gmock.h>
 
+#include <thread>
+
 #include "record_fixture.h"
 #include "run_verb.h"
 
@@ -26,6 +28,20 @@ TEST_F(RecordTest, WithoutABusTheVerbsSaySoAtOnce) {
   EXPECT_THAT(error_of(add_play_verb, {"play", path().string()}), testing::StartsWith(said));
   EXPECT_THAT(error_of(add_record_verb, {"record", "-o", another, "--seconds", "1"}), testing::StartsWith(said));
   EXPECT_FALSE(std::filesystem::exists(another));
+}
+
+TEST_F(RecordTest, WhoIsToldToWaitsForTheBus) {
+  broker_.reset();
+  const std::jthread later([&] {
+    std::this_thread::sleep_for(std::chrono::milliseconds(500));
+    broker_ = std::make_unique<bus_service::Broker>(options());
+    broker_->start();
+  });
+  const std::string bus = directory_.address().text();
+  EXPECT_THAT(
+      run_verb(add_record_verb, {"record", "-o", path().string(), "--seconds", "0.2", "--wait", "60", "--bus", bus}),
+      testing::HasSubstr("recording " + bus));
+  EXPECT_TRUE(std::filesystem::exists(path()));
 }
 
 }  // namespace
