@@ -65,10 +65,16 @@ Json ask_supervisor(const bus::Address& bus, Json request, const std::function<v
   return ask(socket, std::move(request), progress, answer_within_s);
 }
 
-Json stop_supervisor(const bus::Address& bus, double wait_s) {
+double stop_patience_s(const Json& answer) {
+  constexpr double kUsualS = 60, kSlackS = 10;
+  return std::max(kUsualS, answer.value("stops_within_s", 0.0) + kSlackS);
+}
+
+Json stop_supervisor(const bus::Address& bus, std::optional<double> asked_wait_s) {
   LineSocket socket = connect_control(bus);
   Json answer = ask(socket, {{"verb", "down"}}, {}, kAnswerWithinS);
   constexpr double kAtOnceS = 0.001;  // 0 would be for ever
+  const double wait_s = asked_wait_s.value_or(stop_patience_s(answer));
   socket.set_patience(std::max(wait_s, kAtOnceS));
   try {
     while (socket.receive()) {

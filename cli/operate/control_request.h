@@ -2,6 +2,7 @@
 
 #include <functional>
 #include <nlohmann/json_fwd.hpp>
+#include <optional>
 #include <string>
 
 #include "bus/address.h"
@@ -20,8 +21,11 @@ inline constexpr double kAnswerWithinS = 10;
                                             double answer_within_s = kAnswerWithinS);
 
 /// Asks it to stop everything, and returns its answer when it has gone. Throws as ask_supervisor(), and when it has not
-/// gone within `wait_s`: then with what still runs, which goes on being stopped.
-[[nodiscard]] nlohmann::json stop_supervisor(const bus::Address& bus, double wait_s);
+/// gone within `wait_s`, else stop_patience_s(): then with what still runs, which goes on being stopped.
+[[nodiscard]] nlohmann::json stop_supervisor(const bus::Address& bus, std::optional<double> wait_s);
+
+/// How long an end may take, by the answer to `down`: a minute, or as long as processes may take one after the other.
+[[nodiscard]] double stop_patience_s(const nlohmann::json& answer);
 
 /// A line or an event of a process as a JSON object of one line: {"time", "service", "line"} or {"time", "service",
 /// "event", "text", "pid", "status" or "signal", "restart_in_s"}.

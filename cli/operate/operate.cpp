@@ -24,10 +24,12 @@ namespace {
 
 using Json = nlohmann::json;
 
+constexpr double kWaitS = 60;
+
 struct OperateOptions {
   std::string bus, scale, since, service, backend, program;
   std::vector<std::string> services, settings;
-  double wait_s = 60;
+  std::optional<double> wait_s;
   int tail = -1;
   bool json = false, follow = false;
 };
@@ -62,7 +64,7 @@ int status(const OperateOptions& options) {
 
 /// A verb for some processes, with what it says on the way.
 int change(const OperateOptions& options, Json request) {
-  request["wait_s"] = options.wait_s;
+  request["wait_s"] = options.wait_s.value_or(kWaitS);
   const Json answer = ask_supervisor(bus_address(options.bus), std::move(request),
                                      [](const std::string& text) { fmt::print(stderr, "{}\n", text); });
   if (options.json) fmt::print("{}\n", answer.dump());

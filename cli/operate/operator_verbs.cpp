@@ -274,11 +274,14 @@ void add_operator_verbs(ControlServer& server, const std::shared_ptr<Operated>& 
   });
   server.handle("down", [operated](const Json&, const Tell&, const Stop&) {
     std::vector<std::string> names;
+    double within_s = 0;  // one after the other
     for (const ProcessStatus& process : operated->supervisor.status()) {
-      if (process.pid != 0) names.push_back(process.name);
+      if (process.pid == 0) continue;
+      names.push_back(process.name);
+      within_s += operated->supervisor.plan_of(process.name).stop_timeout_s;
     }
     operated->stop();
-    return Json{{"processes", names}};
+    return Json{{"processes", names}, {"stops_within_s", within_s}};
   });
 }
 

@@ -141,22 +141,38 @@ void swap_one(const Operated& operated, const std::string& name, const std::shar
       host, bus, name, limits, [&](const std::string& text) { tell(fmt::format("{}: {}", name, text)); }, stop);
 }
 
-/// Once all of a service's processes are of the new kind, replicas that are planned later are, too.
-void remember(Operated& operated, const Json& request, const std::vector<std::string>& names) {
-  const ProcessPlan swapped = operated.supervisor.plan_of(names.front());
-  const auto replicas = std::ranges::count(operated.supervisor.status(), swapped.service, &ProcessStatus::service);
-  LaunchService* const entry = operated.file.find(swapped.service);
-  if (entry == nullptr || swapped.broker || static_cast<std::size_t>(replicas) != names.size()) return;
+bool has_parameter(const ProcessPlan& plan, const std::string& assignment) {
+  return std::ranges::adjacent_find(plan.arguments, [&](const std::string& option, const std::string& value) {
+           return option == "--set" && value == assignment;
+         }) != plan.arguments.end();
+}
+
+/// Once all of a service's processes are of the new kind, by one swap or one after the other, replicas that are planned
+/// later are, too.
+void remember(Operated& operated, const Json& request, const std::string& swapped) {
+  const ProcessPlan first = operated.supervisor.plan_of(swapped);
+  LaunchService* const entry = operated.file.find(first.service);
+  if (entry == nullptr || first.broker) return;
+  std::vector<ProcessPlan> all;
+  for (const ProcessStatus& process : operated.supervisor.status()) {
+    if (process.service == first.service) all.push_back(operated.supervisor.plan_of(process.name));
+  }
   const SourceMark mark{"swap", 0, 0};
-  if (request.contains("program")) entry->program = {request.at("program").get<std::string>(), mark};
-  if (request.contains("backend")) {
-    entry->backend = {request.at("backend").get<std::string>(), mark};
+  if (request.contains("program") &&
+      std::ranges::all_of(all, [&](const ProcessPlan& plan) { return plan.program == first.program; })) {
+    entry->program = {first.program.string(), mark};
+  }
+  if (request.contains("backend") &&
+      std::ranges::all_of(all, [&](const ProcessPlan& plan) { return plan.backend == first.backend; })) {
+    entry->backend = {first.backend, mark};
     const auto before = std::ranges::find(entry->args, "--backend");  // which would go before the entry's
     if (before != entry->args.end() && std::next(before) != entry->args.end()) entry->args.erase(before, before + 2);
   }
   if (!request.contains("set")) return;
-  for (const auto& [key, value] : request.at("set").items()) {
-    entry->parameters[key] = {escaped(value.get<std::string>()), mark};
+  for (const auto& [key, json] : request.at("set").items()) {
+    const std::string value = json.get<std::string>(), assignment = fmt::format("{}={}", key, value);
+    if (!std::ranges::all_of(all, [&](const ProcessPlan& plan) { return has_parameter(plan, assignment); })) continue;
+    entry->parameters[key] = {escaped(value), mark};
   }
 }
 
@@ -178,7 +194,7 @@ void add_swap_handler(ControlServer& server, const std::shared_ptr<Operated>& op
       }
       swapped.push_back(name);
     }
-    remember(*operated, request, names);
+    remember(*operated, request, names.front());
     return Json{{"processes", names}};
   });
 }

@@ -166,6 +166,33 @@ TEST_F(SwappedService, ReplicasThatComeLaterAreOfTheNewKind) {
   EXPECT_TRUE(has_number("test-3", "9"));
 }
 
+TEST_F(SwappedService, ReplicasThatWereSwappedOneByOneAreTheServiceInTheEnd) {
+  up(launch_file(2));
+  ASSERT_TRUE(wait_for_state("test-1", ProcessState::Running));
+  ASSERT_TRUE(wait_for_state("test-2", ProcessState::Running));
+  static_cast<void>(ask({{"verb", "swap"}, {"service", "test-1"}, {"set", {{"number", "9"}}}}));
+  static_cast<void>(scale("test", 3));
+  ASSERT_TRUE(wait_for_state("test-3", ProcessState::Running));
+  EXPECT_FALSE(numbers_["test-3"] == "9") << "one of two is not the service";
+  static_cast<void>(ask({{"verb", "swap"}, {"service", "test-3"}, {"set", {{"number", "9"}}}}));
+  static_cast<void>(ask({{"verb", "swap"}, {"service", "test-2"}, {"set", {{"number", "9"}}}}));
+  static_cast<void>(scale("test", 4));
+  EXPECT_TRUE(has_number("test-4", "9"));
+}
+
+TEST_F(OperatedTest, HowLongAnEndMayTakeIsWhatItsProcessesMay) {
+  up("services:\n"
+     "  - {name: slow, program: /bin/sleep, args: ['1000'], heartbeat_timeout_s: 0, stop_timeout_s: 120, replicas: 2}\n"
+     "  - {name: quick, program: /bin/sleep, args: ['1000'], heartbeat_timeout_s: 0, stop_timeout_s: 7}\n");
+  for (const char* name : {"slow-1", "slow-2", "quick"}) ASSERT_TRUE(wait_for_state(name, ProcessState::Running));
+  const Json answer = ask({{"verb", "down"}});
+  EXPECT_EQ(answer.at("stops_within_s"), 247);
+  EXPECT_GT(stop_patience_s(answer), 247) << "how long 'down' waits where nothing is said";
+  EXPECT_EQ(stop_patience_s({{"stops_within_s", 9}}), 60);
+  static_cast<void>(ask({{"verb", "stop"}, {"services", {"slow-2"}}}));
+  EXPECT_EQ(ask({{"verb", "down"}}).at("stops_within_s"), 127) << "what does not run takes no time";
+}
+
 TEST_F(SwappedService, ARefusalNamesThoseThatAreSwappedAlready) {
   const fs::path picky = fs::path(folder_) / "picky";
   std::ofstream(picky) << "#!/bin/sh\ncase \"$*\" in *test-2*) echo 'not me'; exit 3;; esac\n"
