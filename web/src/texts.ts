@@ -43,7 +43,7 @@ export const texts = {
   immerse: 'Headset',
   immersionFailed: (reason: string) => `The headset cannot be used: ${reason}.`,
   keys: 'Keys',
-  /** What is a list is where keys are, whatever they say there. */
+  /** What is a list is where keys are, whatever they say there; a single letter is a shortcut's. */
   keyList: [
     [['KeyW', 'KeyA', 'KeyS', 'KeyD'], 'move; ahead is where you look'],
     [['KeyQ', 'KeyE'], 'down, up'],

@@ -9,6 +9,8 @@ export { randomNumbers } from './page/synthetic_scene';
 export { ColorPlayout } from '../src/motion/color_playout';
 export { Playout } from '../src/motion/playout';
 export { Framing } from '../src/framing';
+export { ShortcutKeys, kShortcuts, nameOfShortcut } from '../src/ui/shortcut_keys';
+export { namesOfKeys } from '../src/ui/keyboard';
 export { Pace, Rate } from '../src/pace';
 export { Restarts } from '../src/restarts';
 export { Arrival } from '../src/stream/arrival';

@@ -57,6 +57,11 @@ test('a trackpad pinches as far as fingers go, scrolls to orbit and zoom, and pa
     // Twice as far apart in 20 events, each of which says a hundred times its part of the logarithm.
     for (let k = 0; k < 20; ++k) await wheel({ deltaY: -5 * Math.LN2, ctrlKey: true });
     await reaches(page, { distance: 2 });
+    // A wheel's notch looks like a pinch where Ctrl went down elsewhere: it does not go far, the other way neither.
+    await wheel({ deltaY: 100, ctrlKey: true });
+    await reaches(page, { distance: 2 * Math.exp(0.25) });
+    await wheel({ deltaY: -100, ctrlKey: true });
+    await reaches(page, { distance: 2 });
     // A wheel with Ctrl held is no pinch: a notch is one as ever.
     await page.keyboard.down('Control');
     await wheel({ deltaY: 100, ctrlKey: true });
@@ -280,6 +285,30 @@ test('the menu names keys as this keyboard does', () => {
     await page.keyboard.press('m');
     await page.waitForFunction(() => [...document.querySelectorAll('.keys dt')].slice(0, 2).map((dt) => dt.textContent).join() === 'Z Q S D,A E');
   }, { init: french });
+});
+
+test('F and R of Colemak, where E and S are of English keyboards, do what the menu says', () => {
+  const colemak = () => {
+    const rows = { QWERTYUIOP: 'qwfpgjluy;', ASDFGHJKL: 'arstdhnei', ZXCVBNM: 'zxcvbkm' };
+    const layout = new Map(Object.entries(rows).flatMap(([places, says]) => [...places].map((place, k) => [`Key${place}`, says[k]])));
+    Object.defineProperty(navigator, 'keyboard', { value: { getLayoutMap: async () => layout } });
+  };
+  return opened(kPage, async (page) => {
+    const { down, up, press } = await keyboard(page);
+    await press('KeyM', 'm');
+    await page.waitForFunction(() => {
+      const names = Object.fromEntries([...document.querySelectorAll('.keys div')].map((div) => [...div.children].map((part) => part.textContent).reverse()));
+      return names['down, up'] === 'Q F' && names['show all'] === 'T' && names['reset view'] === 'P' && names['save picture'] === ';';
+    });
+    await down('KeyE', 'f');
+    await page.waitForFunction(() => window.splatbus.rig.goal.target[1] > 0.1);
+    await up('KeyE', 'f');
+    await press('KeyF', 't');
+    await page.waitForFunction((distance) => window.splatbus.rig.goal.distance !== distance, kStart.distance);
+    await press('KeyR', 'p');
+    await reaches(page, { distance: kStart.distance, yaw: kStart.yaw });
+    assert.deepEqual((await goal(page)).target, kStart.target);
+  }, { init: colemak });
 });
 
 test('a browser that does not tell has the names of an English keyboard', () =>

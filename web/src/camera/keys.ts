@@ -4,8 +4,9 @@ import type { Motion } from './rig';
 export const kTurnSpeed = 1.2;
 
 /** Keys that count by where they are: so they lie under the fingers on any layout. */
+export const kMovingKeys: readonly string[] = ['KeyW', 'KeyA', 'KeyS', 'KeyD', 'KeyQ', 'KeyE'];
 const kPlaces = new Set([
-  'KeyW', 'KeyA', 'KeyS', 'KeyD', 'KeyQ', 'KeyE', 'ShiftLeft', 'ShiftRight', 'ArrowUp', 'ArrowDown', 'ArrowLeft', 'ArrowRight',
+  ...kMovingKeys, 'ShiftLeft', 'ShiftRight', 'ArrowUp', 'ArrowDown', 'ArrowLeft', 'ArrowRight',
 ]);
 /** Keys that count by what they say, for that is what a person looks for; what is on the same key without Shift, or with it. */
 const kSigns = new Map([['+', 'nearer'], ['=', 'nearer'], ['-', 'farther'], ['_', 'farther']]);

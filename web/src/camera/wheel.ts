@@ -1,3 +1,4 @@
+import { clamp } from '../math';
 import { kRadiansAPixel } from './pointers';
 import { focalOf, type Rig } from './rig';
 
@@ -7,6 +8,8 @@ const kPixelsALine = 33;
 const kPixelsAPage = 400;
 /** Browsers tell of a pinch on a trackpad as of a wheel with Ctrl: so many times the logarithm of how far fingers went apart. */
 const kPinch = 100;
+/** Of one event: a notch of a wheel looks like a pinch where Ctrl went down before the page had the focus. */
+const kMostOfAPinch = 0.25;
 
 /** Safari has an event of its own for that. */
 interface GestureEvent extends Event {
@@ -43,7 +46,7 @@ export class Wheel {
     const unit = event.deltaMode === WheelEvent.DOM_DELTA_LINE ? kPixelsALine : event.deltaMode === WheelEvent.DOM_DELTA_PAGE ? kPixelsAPage : 1;
     const [x, y] = [event.deltaX * unit, event.deltaY * unit];
     const { clientWidth, clientHeight } = this.element;
-    if (event.ctrlKey && !this.#control) this.rig.zoom(Math.exp(y / kPinch));
+    if (event.ctrlKey && !this.#control) this.rig.zoom(Math.exp(clamp(y / kPinch, -kMostOfAPinch, kMostOfAPinch)));
     else if (event.shiftKey) this.rig.pan(-x, -y, focalOf(clientWidth, clientHeight));
     else if (Math.abs(x) > Math.abs(y)) this.rig.orbit(-x * kRadiansAPixel, 0); // two fingers never go quite straight
     else this.rig.zoom(kZoomANotch ** (-y / kPixelsANotch));

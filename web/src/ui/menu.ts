@@ -1,8 +1,9 @@
 import { kModelFiles, type ModelFile } from '../download';
 import { texts } from '../texts';
 import { button, choice, make } from './dom';
-import { namesOfKeys } from './keyboard';
+import { layoutHere, namesOfKeys, type Layout } from './keyboard';
 import { kGaussianBudgets, kRateBudgets, type Settings } from './settings';
+import { nameOfShortcut } from './shortcut_keys';
 
 export interface MenuActions {
   readonly frameAll: () => void;
@@ -27,8 +28,8 @@ export class Menu {
   readonly element: HTMLDialogElement;
   readonly #follow: HTMLButtonElement;
   readonly #immerse: HTMLButtonElement;
-  /** Names of keys that are meant by where they are. */
-  readonly #places = new Map<HTMLElement, readonly string[]>();
+  /** What says names of keys that are not the same on every keyboard. */
+  readonly #names = new Map<HTMLElement, (layout: Layout | null) => string>();
 
   constructor(settings: Settings, actions: MenuActions) {
     this.#follow = button(texts.follow, actions.follow);
@@ -77,9 +78,10 @@ export class Menu {
   }
 
   #keyName(key: string | readonly string[]): HTMLElement {
-    if (typeof key === 'string') return make('dt', {}, key);
     const element = make('dt');
-    this.#places.set(element, key);
+    if (typeof key !== 'string') this.#names.set(element, (layout) => namesOfKeys(key, layout));
+    else if (key.length === 1) this.#names.set(element, (layout) => nameOfShortcut(key, layout));
+    else element.textContent = key;
     return element;
   }
 
@@ -97,7 +99,9 @@ export class Menu {
   toggle(): void {
     if (this.element.open) return this.element.close();
     // Each time: a person may have another keyboard by now.
-    for (const [element, codes] of this.#places) void namesOfKeys(codes).then((names) => (element.textContent = names));
+    void layoutHere().then((layout) => {
+      for (const [element, name] of this.#names) element.textContent = name(layout);
+    });
     this.element.show();
   }
 }

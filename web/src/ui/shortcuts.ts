@@ -1,5 +1,6 @@
-import { letterOf } from './keyboard';
+import { layoutHere } from './keyboard';
 import type { MenuActions } from './menu';
+import { kShortcuts, ShortcutKeys } from './shortcut_keys';
 
 export interface ShortcutActions extends MenuActions {
   /** True if the key moves the camera. */
@@ -8,28 +9,21 @@ export interface ShortcutActions extends MenuActions {
   readonly escape: () => void;
 }
 
-/** What keys do besides moving the camera, by what they say. */
-const kLetters: Readonly<Record<string, 'compare' | 'frameAll' | 'follow' | 'figures' | 'menu' | 'snapshot' | 'resetView' | 'fullScreen'>> = {
-  c: 'compare',
-  f: 'frameAll',
-  g: 'follow',
-  i: 'figures',
-  m: 'menu',
-  p: 'snapshot',
-  r: 'resetView',
-  v: 'fullScreen',
-};
-
 export function takeShortcuts(actions: ShortcutActions): void {
+  const keys = new ShortcutKeys();
+  const look = (): void => void layoutHere().then((layout) => keys.learn(layout));
+  look();
+  addEventListener('focus', look); // another keyboard, perhaps
   addEventListener('keydown', (event) => {
     if (event.key === 'Escape') actions.escape();
     if (event.ctrlKey || event.metaKey || event.altKey || event.target instanceof HTMLSelectElement) return;
     if (event.target instanceof HTMLInputElement && event.code.startsWith('Arrow')) return;
+    const letter = keys.letterOf(event);
     if (actions.steer(event)) {
       event.preventDefault();
       return;
     }
-    const action = event.repeat ? undefined : kLetters[letterOf(event)];
+    const action = event.repeat ? undefined : kShortcuts[letter];
     if (action) actions[action]();
   });
 }
