@@ -7,6 +7,8 @@ const kSmoothingS = 0.35;
 /** Of the radius. */
 const kNear = 1e-3;
 const kAlike = 0.02;
+/** How long bounds are waited for that stay: those of a world in which something large moves never do. */
+const kSettlingMs = 4000;
 
 interface Sphere {
   readonly centre: Vec3;
@@ -18,8 +20,8 @@ const apart = (a: Sphere, b: Sphere): number => length(sub(a.centre, b.centre)) 
 /** Shows all that has come, again as more comes, until all of it is there or somebody steers. */
 export class Framing {
   #ended = false;
-  /** No more comes, though some of it may be on its way to who knows the bounds. */
-  #settled = false;
+  /** Since then no more comes, though some of it may be on its way to who knows the bounds. */
+  #settledMs = Infinity;
   #asked = false;
   #askedMs = -Infinity;
   /** Gaussians that there were. */
@@ -39,8 +41,9 @@ export class Framing {
   /** Whether to ask for the bounds of all; `settled`: no more comes. */
   asks({ gaussians }: StreamFigures, settled: boolean, nowMs: number): boolean {
     if (this.#ended || gaussians === 0 || nowMs - this.#askedMs < kAgainMs) return false;
-    this.#settled ||= settled;
-    if (gaussians === this.#askedOf && !this.#settled) return false;
+    if (settled) this.#settledMs = Math.min(this.#settledMs, nowMs);
+    this.#ended = nowMs - this.#settledMs >= kSettlingMs;
+    if (this.#ended || (gaussians === this.#askedOf && this.#settledMs === Infinity)) return false;
     this.#asked = true;
     this.#askedMs = nowMs;
     this.#askedOf = gaussians;
@@ -52,7 +55,7 @@ export class Framing {
     if (!this.#asked) return false;
     this.#asked = false;
     const next = { centre, radius };
-    this.#ended = this.#settled && this.#last !== null && apart(this.#last, next) < kAlike * radius;
+    this.#ended ||= this.#settledMs < Infinity && this.#last !== null && apart(this.#last, next) < kAlike * radius;
     this.#goal = this.#last = next;
     return true;
   }

@@ -55,7 +55,7 @@ const viewer = new Viewer(document.body, {
 const show = (pose: Pose | null): void => {
   if (!pose) return;
   viewer.rig.jump(pose);
-  viewer.keepView();
+  viewer.overview.keepView();
 };
 show(address.pose);
 // As when somebody pastes the link that they were given into the tab that asks for it.

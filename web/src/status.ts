@@ -19,7 +19,7 @@ export class Status {
   /** What is wrong with what draws. */
   graphics = '';
   #retryAtMs = 0;
-  /** The stream's worker has died, and what it was to hold at most. */
+  /** The stream's worker has died, and what it was to hold at most: of memory until there is all, while it is tried again too. */
   #died: { outOfMemory: boolean; budget: number } | null = null;
   /** Why the server lets nobody in; empty where it does, or is not there. */
   #refused = '';
@@ -39,10 +39,11 @@ export class Status {
     keepSettings(this.settings);
   }
 
-  hear(message: FromStreamWorker): void {
+  /** `settled`: there is all of the model that is to come. */
+  hear(message: FromStreamWorker, settled: boolean): void {
     if (message.kind === 'figures') {
       if (message.figures.missing === 0 && this.figures?.missing !== 0) this.#shownMs = -Infinity;
-      if (message.figures.gaussians > 0 && message.figures.missing === 0) this.#died = null;
+      if (settled) this.#died = null;
       this.figures = message.figures;
       this.#rate.add(message.figures.atMs, message.figures.bytes);
     } else if (message.kind === 'connection') {
@@ -90,7 +91,7 @@ export class Status {
     });
     const problem =
       this.graphics ||
-      this.#tooLarge(waiting) ||
+      (this.#died?.outOfMemory ? texts.tooLarge(waiting) : '') ||
       (this.#retryAtMs > 0 ? this.#refused || (this.#died ? texts.workerLost : texts.reconnecting(waiting)) : '') ||
       doing ||
       (stage.standing ? '' : this.connection === 'open' ? texts.waitingForScene : texts.connecting);
@@ -98,10 +99,9 @@ export class Status {
     return true;
   }
 
-  /** While it is tried again too: it would not fit any better, unless somebody asks for less. */
-  #tooLarge(waiting: number): string {
-    const died = this.#died;
-    return died?.outOfMemory && this.settings.budget.gaussians >= died.budget ? texts.tooLarge(waiting) : '';
+  /** Somebody has chosen: fewer may fit, as many as before would not. */
+  askedFor(gaussians: number): void {
+    if (this.#died?.outOfMemory && gaussians < this.#died.budget) this.#died = null;
   }
 
   /** Where nobody knows the engine's clock, since the last scene came: see Playout. */

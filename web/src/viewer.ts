@@ -1,18 +1,17 @@
 import { KeptAddress } from './camera/address';
 import { Controls } from './camera/controls';
 import { Player } from './camera/player';
-import { Rig, viewOf, type Pose } from './camera/rig';
+import { Rig, viewOf } from './camera/rig';
 import { BenchRun } from './bench';
 import type { ModelFile } from './download';
 import { Extras } from './extras';
-import { Framing } from './framing';
-import { poseFloats, type Vec3, type View } from './math';
+import { poseFloats, type View } from './math';
+import { Overview } from './overview';
 import { Pace } from './pace';
 import type { Api } from './render/make_renderer';
 import type { Frame } from './render/renderer';
 import { Stage } from './stage';
 import { Status } from './status';
-import { Arrival } from './stream/arrival';
 import type { Budget, ConnectionState, FromStreamWorker, StreamFigures } from './stream/messages';
 import { StreamLink } from './stream/stream_link';
 import { texts } from './texts';
@@ -62,10 +61,7 @@ export class Viewer {
   readonly #player = new Player();
   #rested = true;
   #redraw = true;
-  readonly #framing = new Framing();
-  readonly #arrival = new Arrival();
-  /** What the page was opened with, or showed first. */
-  #firstView: Pose | null = null;
+  readonly overview: Overview;
   #bench: BenchRun;
   readonly extras: Extras;
   /** Pictures drawn since the page was opened. */
@@ -91,6 +87,7 @@ export class Viewer {
         this.#redraw = true;
       },
     );
+    this.overview = new Overview(this.stage, this.rig, this.link);
     this.#status = new Status(this.stage, this.#pace, this.#access, options.settings);
     this.extras = new Extras(this.stage, this.rig, this.link, this.#access, {
       view: () => this.#view(),
@@ -106,10 +103,10 @@ export class Viewer {
     });
     this.stage.element.setAttribute('aria-label', texts.picture);
     this.#controls = new Controls(this.stage.element, this.rig);
-    this.#controls.onFrameAll = () => this.frameAll();
+    this.#controls.onFrameAll = () => this.overview.ask();
     const actions = {
-      frameAll: () => this.frameAll(),
-      resetView: () => this.#resetView(),
+      frameAll: () => this.overview.ask(),
+      resetView: () => this.overview.reset(),
       fullScreen: () => this.extras.toggleFullScreen(),
       snapshot: () => void this.extras.saveSnapshot(),
       share: () => void this.extras.share(),
@@ -156,26 +153,11 @@ export class Viewer {
     requestAnimationFrame(tick);
   }
 
-  /** The camera is where the address says: nothing else is shown of its own accord. */
-  keepView(): void {
-    this.#framing.end();
-    this.#firstView = this.rig.goal;
-  }
-
   /** Somebody has another one now: it is connected anew. */
   useToken(token: string | null): void {
     this.#access.token = token;
     if (this.#bench.asked) this.#bench = new BenchRun(this.options.bench, token);
     this.link.start();
-  }
-
-  frameAll(): void {
-    this.link.send({ kind: 'bounds' });
-  }
-
-  #resetView(): void {
-    if (this.#firstView) this.rig.moveStraight(this.#firstView);
-    else this.frameAll();
   }
 
   #tick(nowMs: number): void {
@@ -186,7 +168,8 @@ export class Viewer {
       this.#steered = true;
       this.#player.following = false;
     }
-    this.#frameWhatCame(seconds);
+    if (this.#steered || this.#player.following) this.overview.end();
+    this.overview.advance(seconds);
     const flown = this.#bench.at(nowMs / 1000, () => this.#benchContext());
     if (flown) this.rig.jump(flown);
     if (flown || this.#player.goAlong(this.stage.sceneAt(nowMs), this.rig)) this.#movedMs = nowMs;
@@ -269,39 +252,18 @@ export class Viewer {
   }
 
   #hear(message: FromStreamWorker): void {
-    this.#status.hear(message);
+    const { settled } = this.link;
+    this.#status.hear(message, settled);
     if (message.kind === 'figures') {
-      const now = performance.now();
-      const settled = this.#arrival.settled(message.figures, this.connection === 'open', now);
       const flies = this.#bench.asked && this.stage.standing && settled;
       if (flies) this.#bench.prepare();
-      if (this.#framing.asks(message.figures, settled, now) || flies) this.frameAll();
+      if (!this.overview.hear(message.figures, settled) && flies) this.overview.ask();
     } else if (message.kind === 'bounds') {
-      this.#showAll(message.centre, message.radius);
+      this.#bench.around(message.centre, message.radius);
+      if (this.overview.show(message.centre, message.radius) && !this.#steered) this.#goal = this.rig.goal;
     } else if (message.kind === 'picture') {
       void this.extras.comparison.hear(message.picture);
     }
-  }
-
-  #showAll(centre: Vec3, radius: number): void {
-    this.#bench.around(centre, radius);
-    if (this.#framing.takes(centre, radius)) return;
-    this.#frameSphere(centre, radius);
-    if (!this.#steered) this.#goal = this.rig.goal;
-  }
-
-  #frameWhatCame(seconds: number): void {
-    if (this.#steered || this.#player.following) this.#framing.end();
-    const sphere = this.#framing.advance(this.rig.smooth ? seconds : Infinity);
-    if (!sphere) return;
-    this.#frameSphere(sphere.centre, sphere.radius);
-    this.#firstView = this.rig.goal;
-  }
-
-  #frameSphere(centre: Vec3, radius: number): void {
-    const { clientWidth, clientHeight } = this.stage.element;
-    this.rig.frame(centre, radius, clientWidth, clientHeight);
-    if (!this.stage.standing) this.rig.jump(this.rig.goal);
   }
 
   #benchContext(): object {
@@ -320,6 +282,7 @@ export class Viewer {
   #settingsChanged(): void {
     keepSettings(this.options.settings);
     this.rig.speed = kSpeeds[this.options.settings.speed];
+    this.#status.askedFor(this.options.settings.budget.gaussians);
     this.link.setBudget(this.options.settings.budget);
     this.#redraw = true;
   }

@@ -69,6 +69,14 @@ test('what is framed grows with what has come, without a jump, until all of it i
   assert.equal(slow.shown.at(-1).centre[0], 9);
 });
 
+test('a world in which something large never rests is not followed for ever', () => {
+  let turns = 0;
+  const moves = () => ({ centre: [Math.sin(++turns), 0, 0], radius: 3 }); // a third of the radius each time
+  const { asks, shown } = framed((ms) => ({ gaussians: 9000, missing: ms < 3000 ? 1 : 0 }), moves, { seconds: 60 });
+  assert.ok(shown.at(-1).ms > 6000 && shown.at(-1).ms < 12_000, `the last at ${shown.at(-1).ms} ms: four seconds after all was there, and what the way takes`);
+  assert.ok(asks < 12, `asked ${asks} times`);
+});
+
 test('who steers is not moved by what comes', () => {
   const { shown } = framed((ms) => ({ gaussians: 500 + ms, missing: 1 }), kGrowing, { steersAtS: 3 });
   assert.ok(shown.at(-1).ms < 3000, `${shown.at(-1).ms} ms`);

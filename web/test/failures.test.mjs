@@ -251,6 +251,23 @@ test('a device that has too little memory for the scene: the page says so and wh
     await page.waitForFunction(() => window.splatbus.stage.uploadedRows === 9000);
   }));
 
+test('too little memory is no more said of a world beyond the budget once all is there that comes, nor where fewer were asked for since', { timeout: 90_000 }, () =>
+  opened(kPage, async (page) => {
+    await settled(page);
+    const fails = () => page.evaluate(() => new BroadcastChannel('fail').postMessage('RangeError: Array buffer allocation failed'));
+    await fails();
+    await says(page, 'too little memory');
+    await page.waitForFunction(() => document.querySelector('.notice').textContent === '', undefined, { timeout: 40_000 });
+    assert.equal(await page.evaluate(() => window.splatbus.figures.missing), 7);
+    await fails();
+    await says(page, 'too little memory');
+    await page.keyboard.press('m');
+    const budget = page.getByLabel('Gaussians at most');
+    await budget.selectOption('100000');
+    await budget.selectOption('1000000');
+    await page.waitForFunction(() => window.splatbus.connection === 'open' && document.querySelector('.notice').textContent === '', undefined, { timeout: 4000 });
+  }, { init: () => localStorage.getItem('splatbus.settings') ?? localStorage.setItem('splatbus.settings', JSON.stringify({ budget: { gaussians: 2000 } })) }));
+
 test('a sort that nobody does takes no time', kLimit, () =>
   opened(pageOf('webgpu'), async (page) => {
     await page.evaluate(() => window.splatbus.stage.lend());

@@ -93,6 +93,15 @@ test('one that was there as a whole is back soon', () => {
   assert.ok(waits.length > 15 && waits.every(({ retryS }) => retryS <= 6.25), `${waits.map(({ retryS }) => retryS)}`);
 });
 
+test('so is one of a world beyond the budget, of which all was there that comes', () => {
+  const { waits } = linked(({ later }) => {
+    later(100, kOpen);
+    for (let ms = 2000; ms < 20_000; ms += 250) later(ms, { kind: 'figures', figures: { gaussians: 9, missing: 90 } });
+    later(20_000, kTooLarge);
+  }, 600_000);
+  assert.ok(waits.length > 15 && waits.every(({ retryS }) => retryS <= 6.25), `${waits.map(({ retryS }) => retryS)}`);
+});
+
 test('a worker that dies as soon as it is connected waits longer each time; one that has lived for a while is back at once', () => {
   const { waits } = linked(({ worker, life, later }) => {
     later(50, kOpen);

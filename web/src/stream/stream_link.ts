@@ -1,4 +1,5 @@
 import { Restarts } from '../restarts';
+import { Arrival } from './arrival';
 import type { Budget, FromStreamWorker, ToStreamWorker } from './messages';
 import { saysOutOfMemory } from './out_of_memory';
 
@@ -15,7 +16,10 @@ export class StreamLink {
   readonly #deaths = new Restarts(0.25, 8);
   /** Of a model that does not fit: each has cost most of its download, however long that took. */
   readonly #tooLarge = new Restarts(5, 300);
-  /** The model has been there as a whole. */
+  #arrival = new Arrival();
+  #open = false;
+  #settled = false;
+  /** There has been all of the model that is to come. */
   #whole = false;
   onMessage: (message: FromStreamWorker) => void = () => {};
   /** A worker has started that knows nothing of who draws. */
@@ -23,18 +27,25 @@ export class StreamLink {
 
   constructor(private readonly options: LinkOptions) {}
 
+  /** No more of the model comes, by the last figures. */
+  get settled(): boolean {
+    return this.#settled;
+  }
+
   start(): void {
     clearTimeout(this.#startsAgain); // somebody else was sooner
     this.#worker?.terminate();
     const worker = new Worker('stream_worker.js', { type: 'module', name: 'stream' });
     this.#worker = worker;
-    this.#whole = false;
+    this.#arrival = new Arrival();
+    this.#open = this.#settled = this.#whole = false;
     this.#deaths.started(performance.now());
     const died = (reason: string): void => {
       if (this.#worker !== worker) return;
       console.warn(`the stream's worker has died: ${reason}`);
       worker.terminate();
       this.#worker = null;
+      this.#open = this.#settled = false;
       const tooLarge = saysOutOfMemory(reason);
       const now = performance.now();
       const retryS = tooLarge ? this.#tooLarge.ended(now, this.#whole) : this.#deaths.ended(now);
@@ -48,7 +59,9 @@ export class StreamLink {
       if (data.kind === 'failed') {
         died(data.reason);
       } else {
-        if (data.kind === 'figures' && data.figures.gaussians > 0 && data.figures.missing === 0) this.#whole = true;
+        if (data.kind === 'connection') this.#open = data.state === 'open';
+        if (data.kind === 'figures') this.#settled = this.#arrival.settled(data.figures, this.#open, performance.now());
+        this.#whole ||= this.#settled;
         this.onMessage(data);
       }
     };
