@@ -30,9 +30,8 @@ float norm(std::span<const float> values) {
 }
 
 std::string problem_of_size(const splatbus_camera& camera) {
-  if (is_picture_size(camera.width, camera.height, camera.role == SPLATBUS_ROLE_LIGHT)) return {};
-  return fmt::format("{} x {} pixels, where each side has 1 to {}, and a picture {} at most", camera.width,
-                     camera.height, kMaxPictureSide, kMaxPicturePixels);
+  if (is_picture_size(camera.width, camera.height)) return {};
+  return fmt::format("{} x {} pixels, where each side has 1 to {}", camera.width, camera.height, kMaxPictureSide);
 }
 
 std::string problem(const splatbus_rigid& pose, const char* name) {

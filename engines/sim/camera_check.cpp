@@ -15,9 +15,12 @@ std::string camera_problem(const splatbus_camera& camera) {
   const auto named = [&](const std::string& what) {
     return fmt::format("camera {} (role {}): {}", camera.id, camera.role, what);
   };
-  if (!is_picture_size(camera.width, camera.height, camera.role == SPLATBUS_ROLE_LIGHT)) {
+  // What is rendered here has several buffers; a depth map has one.
+  const bool fits = camera.role == SPLATBUS_ROLE_LIGHT ? is_picture_size(camera.width, camera.height)
+                                                       : is_probe_size(camera.width, camera.height);
+  if (!fits) {
     return named(fmt::format("a picture of {} x {} is out of bounds (1 to {} a side, at most {} pixels)", camera.width,
-                             camera.height, kMaxPictureSide, kMaxPicturePixels));
+                             camera.height, kMaxPictureSide, kMaxProbePixels));
   }
   const auto finite = [](std::span<const float> values) {
     return std::ranges::all_of(values, [](float value) { return std::isfinite(value); });

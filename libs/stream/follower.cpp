@@ -79,7 +79,7 @@ void Follower::take_probe_picture(const ParsedPacket& packet, std::int64_t now_n
                      .arrived_ns = now_ns,
                      .rgba = {}};
   const std::size_t bytes = std::size_t{answer.camera.width} * answer.camera.height * 4;
-  if (!is_picture_size(answer.camera.width, answer.camera.height, false) || body.raw_bytes() != bytes) {
+  if (!is_probe_size(answer.camera.width, answer.camera.height) || body.raw_bytes() != bytes) {
     throw StreamError(fmt::format("ProbePicture: {} bytes for {} x {} pixels", body.raw_bytes(), answer.camera.width,
                                   answer.camera.height));
   }

@@ -187,10 +187,6 @@ Camera from_wire(const wire::Camera& camera) {
   }
   check_side(camera.width(), "width");
   check_side(camera.height(), "height");
-  if (!is_picture_size(camera.width(), camera.height(), camera.role() == wire::CameraRole::Light)) {
-    refuse(fmt::format("camera: {} x {} pixels, where a picture has {} at most", camera.width(), camera.height(),
-                       kMaxPicturePixels));
-  }
   check_finite(camera.fx(), kField, "fx");
   check_finite(camera.fy(), kField, "fy");
   check_finite(camera.cx(), kField, "cx");

@@ -4,15 +4,18 @@
 
 namespace splatbus {
 
-/// The one limit of a picture's size, which everybody on its way checks: who asks for it, who renders it, who carries
-/// it and who shows it.
+/// The one limit of a picture's sides, which everybody on its way checks. A camera that asks nobody for pixels, such as
+/// where a viewer stands, has no other; nor have the pictures that an engine sends of its own accord.
 inline constexpr std::uint32_t kMaxPictureSide = 8192;
-inline constexpr std::uint64_t kMaxPicturePixels = std::uint64_t{1} << 24;
+/// Of one that somebody else has to render, carry and keep for a viewer.
+inline constexpr std::uint64_t kMaxProbePixels = std::uint64_t{1} << 24;
 
-/// A light's depth map, of 4 bytes a pixel and shown to nobody, may have all of its sides.
-[[nodiscard]] constexpr bool is_picture_size(std::uint32_t width, std::uint32_t height, bool depth_map) {
-  if (width == 0 || height == 0 || width > kMaxPictureSide || height > kMaxPictureSide) return false;
-  return depth_map || std::uint64_t{width} * height <= kMaxPicturePixels;
+[[nodiscard]] constexpr bool is_picture_size(std::uint32_t width, std::uint32_t height) {
+  return width != 0 && height != 0 && width <= kMaxPictureSide && height <= kMaxPictureSide;
+}
+
+[[nodiscard]] constexpr bool is_probe_size(std::uint32_t width, std::uint32_t height) {
+  return is_picture_size(width, height) && std::uint64_t{width} * height <= kMaxProbePixels;
 }
 
 }  // namespace splatbus

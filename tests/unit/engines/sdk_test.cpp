@@ -125,18 +125,16 @@ TEST_F(SdkTest, APictureHasTheSizesThatEverybodyTakes) {
   const auto context = connect("tester");
   const bus::Publisher cameras(context);
   const Engine engine = open();
-  std::vector<Request> requests(4, Request{.camera = small_camera(1)});
-  requests[0].camera.width = 8192;
-  requests[0].camera.height = 2048;
-  requests[1].camera.width = 8192;
-  requests[1].camera.height = 2049;
-  requests[2].camera.width = requests[2].camera.height = 8192;
-  requests[2].camera.role = SPLATBUS_ROLE_LIGHT;
-  requests[3].camera.height = 8193;
+  std::vector<Request> requests(3, Request{.camera = small_camera(1)});
+  requests[0].camera.width = 7680;
+  requests[0].camera.height = 4320;
+  requests[1].camera.width = requests[1].camera.height = 8192;
+  requests[1].camera.role = SPLATBUS_ROLE_LIGHT;
+  requests[2].camera.height = 8193;
   publish_requests(cameras, requests);
   const auto taken = wait_for_change(engine.get());
   ASSERT_EQ(taken.size(), 2U);
-  EXPECT_EQ(taken[0].camera.height, 2048U);
+  EXPECT_EQ(taken[0].camera.height, 4320U);
   EXPECT_EQ(taken[1].camera.role, std::uint32_t{SPLATBUS_ROLE_LIGHT});
 }
 
