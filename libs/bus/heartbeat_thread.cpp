@@ -5,6 +5,7 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <string_view>
 #include <utility>
 #include <vector>
 
@@ -22,13 +23,15 @@ namespace {
 constexpr std::int64_t beat_ns = 200'000'000, longest_wait_ms = 20;
 constexpr std::int64_t longest_trace_ns = 10'000'000'000;
 
-/// As much of it as a heartbeat may have, in whole characters.
-std::string shortened(std::string text) {
-  if (text.size() <= HeartbeatLimits::kText) return text;
-  std::size_t end = HeartbeatLimits::kText;
+/// As much of it as a heartbeat may have, in whole characters and with a mark that it is cut: with more the broker
+/// would refuse it, and the service look dead.
+std::string shortened(std::string text, std::size_t limit) {
+  constexpr std::string_view kCut = "...";
+  if (text.size() <= limit) return text;
+  std::size_t end = limit - kCut.size();
   while (end > 0 && (static_cast<unsigned char>(text[end]) & 0xC0U) == 0x80U) --end;
   text.resize(end);
-  return text;
+  return text.append(kCut);
 }
 
 }  // namespace
@@ -127,14 +130,15 @@ void HeartbeatThread::beat(wire::ServiceState state) {
   {
     const std::scoped_lock lock(service_.mutex_);
     counters = service_.counters_;
-    detail = shortened(service_.detail_);
+    detail = shortened(service_.detail_, HeartbeatLimits::kText);
   }
   const MessageInfo info{.capture_ns = 0, .latch_key = service_.bus->source(), .tensors = {}};
   publisher_.publish(topics::kHeartbeat, info, [&](auto& builder, auto header) {
     std::vector<flatbuffers::Offset<wire::Counter>> counter_offsets;
     counter_offsets.reserve(counters.size());
     for (const auto& [name, value] : counters) {
-      counter_offsets.push_back(wire::CreateCounterDirect(builder, name.c_str(), value));
+      counter_offsets.push_back(
+          wire::CreateCounterDirect(builder, shortened(name, HeartbeatLimits::kKey).c_str(), value));
     }
     std::vector<flatbuffers::Offset<wire::KeyValue>> parameter_offsets;
     const auto parameters = service_.parameters.list();
@@ -142,8 +146,8 @@ void HeartbeatThread::beat(wire::ServiceState state) {
     parameter_offsets.reserve(parameters.size());
     for (std::size_t i = 0; i < parameters.size(); ++i) {
       const auto& [name, value] = parameters[i];
-      parameter_offsets.push_back(
-          wire::CreateKeyValueDirect(builder, name.c_str(), value.c_str(), value_type(specs[i])));
+      parameter_offsets.push_back(wire::CreateKeyValueDirect(
+          builder, name.c_str(), shortened(value, HeartbeatLimits::kText).c_str(), value_type(specs[i])));
     }
     return wire::CreateHeartbeatDirect(builder, header, kind_.c_str(), static_cast<std::uint32_t>(::getpid()), state,
                                        detail.c_str(), &counter_offsets, &parameter_offsets, name_of(service_.backend),

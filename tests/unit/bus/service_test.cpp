@@ -74,6 +74,16 @@ TEST_F(Service, HeartbeatsTellStateCountersAndParameters) {
   }));
 }
 
+// The broker refuses a heartbeat that says more: the service would look dead.
+TEST_F(Service, WhatIsTooLongForAHeartbeatIsCut) {
+  const auto child = start({"--name", "test-2", "--set", "fixed=" + std::string(5000, 'v')});
+  EXPECT_TRUE(await_heartbeat("test-2", [&](const wire::Heartbeat& heartbeat) {
+    return heartbeat.state() == wire::ServiceState::Running && heartbeat.counters()->size() == 2 &&
+           heartbeat.counters()->Get(0)->name()->str() == std::string(253, 'n') + "..." &&
+           parameter(heartbeat, "fixed") == std::string(4093, 'v') + "...";
+  }));
+}
+
 TEST_F(Service, ParametersChangeByKindAndByName) {
   const auto child = start({"--name", "test-2"});
   ASSERT_TRUE(await_heartbeat("test-2", [](const auto& beat) { return beat.state() == wire::ServiceState::Running; }));

@@ -44,6 +44,7 @@ void run(bus::ServiceContext& service) {
   if (!service.take_over([&] { static_cast<void>(kept.receive(std::chrono::milliseconds(10))); })) return;
   service.ready();
   service.detail("counting");
+  if (service.parameters.read<Options>().fixed.size() > 100) service.counter(std::string(300, 'n'), 1);
   const auto mortal = service.bus->create_slab("frames", 1, 4096);
   const auto slab = service.bus->create_slab("model", 1, 4096, 10000, splatbus::Device::Cpu,
                                              splatbus::bus::Context::SlabLife::ForSuccessor);
