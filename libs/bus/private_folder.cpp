@@ -37,7 +37,7 @@ void require_private_folder(const std::string& folder) {
   if (!of_a_bus || ::fchmod(fd.get(), 0700) != 0) refuse("others may enter it: its mode must be 0700");
 }
 
-void require_own_endpoint(const std::string& endpoint) {
+void require_own_endpoint(const std::string& endpoint, EndpointUse use) {
   if (!endpoint.starts_with(ipc_scheme)) return;
   const auto refuse = [&](const std::string& why) { throw Error(fmt::format("{}: {}", endpoint, why)); };
   const std::string path = endpoint.substr(ipc_scheme.size());
@@ -49,10 +49,20 @@ void require_own_endpoint(const std::string& endpoint) {
   }
   struct stat status {};
   if (::stat(folder.c_str(), &status) != 0 || !S_ISDIR(status.st_mode)) refuse("it is in no folder");
-  if (status.st_uid != ::geteuid()) refuse(fmt::format("its folder belongs to another user ({})", status.st_uid));
-  if ((status.st_mode & 022U) != 0) refuse("others may write to its folder: chmod go-w it");
-  if (::lstat(path.c_str(), &status) == 0 && status.st_uid != ::geteuid()) {
-    refuse(fmt::format("it belongs to another user ({})", status.st_uid));
+  const ::uid_t user = ::geteuid();
+  const bool is_sticky = (status.st_mode & S_ISVTX) != 0 && (status.st_uid == 0 || status.st_uid == user);
+  if (!is_sticky) {
+    if (status.st_uid != user) refuse(fmt::format("its folder belongs to another user ({})", status.st_uid));
+    // Many systems give each user a group of his own, of the same number, and have it write to his folders.
+    const ::mode_t others = status.st_gid == user ? S_IWOTH : S_IWGRP | S_IWOTH;
+    if ((status.st_mode & others) != 0) refuse("others may write to its folder: chmod go-w it");
+  }
+  const bool is_there = ::lstat(path.c_str(), &status) == 0;
+  if (is_there && status.st_uid != user) refuse(fmt::format("it belongs to another user ({})", status.st_uid));
+  if (!is_sticky) return;
+  if (is_there && (status.st_mode & (S_IWGRP | S_IWOTH)) != 0) refuse("others may write to it");
+  if (!is_there && use == EndpointUse::Connect) {
+    refuse("nobody is there yet, and anybody may come: its folder is everybody's");
   }
 }
 

@@ -13,10 +13,14 @@ namespace splatbus::bus {
 /// others, or is no folder (a link).
 void require_private_folder(const std::string& folder);
 
+enum class EndpointUse : std::uint8_t { Connect, Bind };
+
 /// Makes sure that only this user can be at the other end of an ipc endpoint: its folder, which is made with mode 0700
-/// when it is missing, is this user's, nobody else may write to it, and what is at the path already is this user's too.
-/// Throws Error naming the endpoint. Of other transports it knows nothing.
-void require_own_endpoint(const std::string& endpoint);
+/// when it is missing, is this user's, nobody else may write to it (a group that is named by this user's own number is
+/// nobody else), and what is at the path already is this user's too. In a folder like /tmp, where nobody can move what
+/// is another's, that has to be there to connect to. Throws Error naming the endpoint. Of other transports it knows
+/// nothing.
+void require_own_endpoint(const std::string& endpoint, EndpointUse use = EndpointUse::Connect);
 
 /// libzmq's ZMQ_IPC_FILTER_UID, which its header does not always name: a socket that is bound over ipc afterwards takes
 /// that user's connections and no others.

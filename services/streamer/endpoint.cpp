@@ -94,7 +94,7 @@ Endpoint::Endpoint(const std::vector<std::string>& endpoints, const EndpointOpti
 std::string Endpoint::bind(const std::string& endpoint) {
   if (endpoint.starts_with(kIpc)) {
     const std::string path = endpoint.substr(kIpc.size());
-    bus::require_own_endpoint(endpoint);
+    bus::require_own_endpoint(endpoint, bus::EndpointUse::Bind);
     const ::uid_t user = ::geteuid();
     zmq_setsockopt(socket_.handle(), bus::kIpcFilterUid, &user, sizeof(user));
     locks_.emplace_back(path, lock_beside(path));
@@ -165,7 +165,10 @@ std::optional<Endpoint::Received> Endpoint::parse(const Peer& peer, const std::v
     }
     PeerAddress address = frames.empty() ? PeerAddress() : peer_address(frames[0]);
     const bool has_key = !frames.empty() && !bus::sender_key(frames[0]).empty();
-    const bool is_service = address.is_local || (has_key && rights.control);
+    // Where the loopback address takes no keys, this machine is trusted as over ipc.
+    const bool is_plain = !has_key && address.text == PeerAddress::kLoopback;
+    const bool is_service = address.is_local || is_plain || (has_key && rights.control);
+    if (is_plain) address.text.clear();
     if (frames.size() > 1) {
       if (const auto relayed = bus::parse_rights_frame(frames[0].to_string_view())) {
         rights = rights & *relayed;

@@ -46,9 +46,9 @@ class Endpoint {
     stream::ParsedPacket packet;
     bus::Rights rights = bus::Rights::all();  ///< of this connection
     /// What bounds for one address hold for: the sender's, or the one that a service names as its client's; empty: a
-    /// process of this user's own.
+    /// process of this user's own, or one over plain tcp on the loopback address.
     std::string address{};
-    bool is_service = true;  ///< a process of this user's, or one whose key may control
+    bool is_service = true;  ///< one of those, or one whose key may control
   };
   /// The next packet, without waiting; null too after many messages that were none. What is no Packet is counted,
   /// logged at most once a second, and skipped; so is what somebody sends whose key may not view (any more), and that

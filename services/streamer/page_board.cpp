@@ -68,12 +68,16 @@ std::shared_ptr<const SharedPage> PageBoard::page(std::uint32_t number, bool in_
   if (const stream::OfferedPage* small = find(number); of_others && small && small->count <= stream::kBlockRows) {
     in_parts = false;  // it is one
   }
-  if (const auto kept = pages_.find({number, in_parts}); kept != pages_.end()) return kept->second;
+  if (const auto kept = pages_.find({number, in_parts}); kept != pages_.end()) {
+    // Made anew once for the first who goes on with it: that is how the model learns of him.
+    if (kept->second->to_hold || !to_hold) return kept->second;
+  }
   if (of_others) {
     need({number, in_parts ? wire::SharePart::Parts : wire::SharePart::Whole});
     return {};
   }
   auto page = std::make_shared<SharedPage>();
+  page->to_hold = to_hold;
   std::size_t bytes = 0;
   for (const stream::PagePacket& part :
        model_.page_packets(number, in_parts ? stream::kBlockRows : splatbus::kPageLanes, to_hold)) {

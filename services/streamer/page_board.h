@@ -28,6 +28,7 @@ struct SharedDelta {
 struct SharedPage {
   std::uint32_t version = 0, structure = 0;
   std::vector<SharedPacket> parts;
+  bool to_hold = true;  ///< the model knows that somebody goes on with it by deltas
 };
 
 /// All pages that there are, by number, and of which of them other replicas make the packets.

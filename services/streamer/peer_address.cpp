@@ -28,7 +28,7 @@ bool has_process(std::string_view text) {
 
 // This machine has sixteen million addresses of its own.
 PeerAddress of_v4(const std::string& text) {
-  return {.is_local = false, .text = text.starts_with(kLoopback) ? "127.0.0.1" : text};
+  return {.is_local = false, .text = text.starts_with(kLoopback) ? PeerAddress::kLoopback : text};
 }
 
 }  // namespace
@@ -45,7 +45,7 @@ PeerAddress parse_peer_address(std::string_view text) {
     ::inet_ntop(AF_INET, bytes + kMappedBytes, v4.data(), v4.size());
     return of_v4(v4.data());
   }
-  if (IN6_IS_ADDR_LOOPBACK(&v6)) return of_v4("127.0.0.1");
+  if (IN6_IS_ADDR_LOOPBACK(&v6)) return of_v4(PeerAddress::kLoopback);
   return {.is_local = false, .text = std::string(bytes, kNetworkBytes)};
 }
 

@@ -10,6 +10,8 @@ namespace splatbus::streamer {
 struct PeerAddress {
   bool is_local = false;  ///< over ipc, which only this user's processes can be
   std::string text;       ///< that counts as one for bounds; empty over ipc
+
+  static constexpr const char* kLoopback = "127.0.0.1";  ///< what all of this machine's are over tcp
 };
 
 /// By what libzmq says of the connection that a message came by.

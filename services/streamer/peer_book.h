@@ -19,6 +19,7 @@ namespace splatbus::streamer {
 class PeerBook {
  public:
   static constexpr std::size_t kMaxLeavers = 256;
+  static constexpr std::ptrdiff_t kForgiven = 4;
   static constexpr std::int64_t kRememberNs = 10'000'000'000;
 
   /// Whether a word of somebody unknown is answered.
@@ -37,15 +38,18 @@ class PeerBook {
     ViewerRate::Spent spent;
     std::int64_t posed_ns = 0;
   };
-  void left(const Endpoint::Peer& peer, const std::string& address, Leaver leaver, std::int64_t now_ns);
-  /// Of a viewer that comes by the same connection, or by another one of an address that one has left.
+  void left(const Endpoint::Peer& peer, const std::string& address, const std::string& name, Leaver leaver,
+            std::int64_t now_ns);
+  /// Of a viewer that comes by the same connection, or by another one of its address under its name. Where more than
+  /// kForgiven have left an address, whoever comes from there goes on as the last of them did: one who takes a new
+  /// each time gains no more than that, and a newcomer among few neighbours owes nothing of theirs.
   [[nodiscard]] std::optional<Leaver> take_leaver(const Endpoint::Peer& peer, const std::string& address,
-                                                  std::int64_t now_ns);
+                                                  const std::string& name, std::int64_t now_ns);
 
  private:
   struct Entry {
     Endpoint::Peer peer;
-    std::string address;
+    std::string address, name;
     std::int64_t left_ns = 0;
     Leaver leaver;
   };

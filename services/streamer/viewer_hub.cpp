@@ -194,7 +194,7 @@ void ViewerHub::expire(std::int64_t now_ns) {
 }
 
 void ViewerHub::remember(const Endpoint::Peer& peer, const Viewer& viewer, std::int64_t now_ns) {
-  book_.left(peer, viewer.address,
+  book_.left(peer, viewer.address, viewer.name,
              {.limits = viewer.limits, .spent = viewer.feed.rate().spent(), .posed_ns = viewer.posed_ns}, now_ns);
   former_.whole_pages += viewer.feed.whole_pages();
   former_.lost_packets += viewer.feed.lost_packets();

@@ -24,7 +24,7 @@ namespace splatbus::streamer {
 
 struct HubOptions {
   std::size_t max_viewers = 64;
-  std::size_t max_viewers_per_address = 32;  ///< not of this user's own processes
+  std::size_t max_viewers_per_address = 56;  ///< leaves others a few; not of own processes
   std::size_t history_bytes = std::size_t{16} << 20;
   double viewer_timeout_s = 5;  ///< a viewer that sends nothing, or reads nothing, for so long is forgotten
   float tick_hz = 5;

@@ -4,11 +4,14 @@
 #include <spdlog/spdlog.h>
 
 #include <algorithm>
+#include <optional>
+#include <stdexcept>
 #include <utility>
 
 #include "bus/frames.h"
 #include "streamer/viewer_hub.h"
 #include "wire/convert.h"
+#include "wire/picture_size.h"
 
 namespace splatbus::streamer {
 
@@ -117,7 +120,11 @@ void ViewerHub::pass_pose(Viewer& viewer, std::int64_t now_ns) {
 }
 
 void ViewerHub::take_probe(const Endpoint::Peer& peer, Viewer& viewer, const wire::Probe& probe, std::int64_t now_ns) {
-  static_cast<void>(from_wire(*probe.camera()));  // refuses what makes no sense
+  const Camera camera = from_wire(*probe.camera());  // refuses what makes no sense
+  if (!is_probe_size(camera.width, camera.height)) {
+    throw std::runtime_error(fmt::format("camera: {} x {} pixels, where a probe has {} at most", camera.width,
+                                         camera.height, kMaxProbePixels));
+  }
   std::erase_if(probes_, [&](const auto& entry) { return now_ns - entry.second.asked_ns > kProbeNs; });
   const auto of_one = std::ranges::count_if(probes_, [&](const auto& entry) { return entry.second.asker == peer; });
   const bool room = probes_.size() < kProbesInFlight && static_cast<std::size_t>(of_one) < kProbesOfOne;
@@ -202,11 +209,14 @@ void ViewerHub::hello(const Endpoint::Received& received, std::int64_t now_ns) {
          })));
     return;
   }
+  // What makes no sense is refused before anything is taken: who left would else come back without its debts.
+  std::optional<Camera> camera;
+  if (body.camera()) camera = from_wire(*body.camera());
   Viewer viewer(body.max_gaussians() != 0 ? body.max_gaussians() : stream::kMaxGaussians);
   viewer.name = bus::printable(body.viewer()->string_view());
   viewer.address = address;
   viewer.rights = rights;
-  if (auto before = book_.take_leaver(peer, address, now_ns)) {
+  if (auto before = book_.take_leaver(peer, address, viewer.name, now_ns)) {
     viewer.limits = before->limits;
     viewer.posed_ns = before->posed_ns;
     viewer.feed.rate().begin_with(std::move(before->spent));
@@ -214,7 +224,7 @@ void ViewerHub::hello(const Endpoint::Received& received, std::int64_t now_ns) {
   viewer.connection = ++connections_;
   viewer.wants_probes = body.probes();
   viewer.heard_ns = viewer.sent_ns = now_ns;
-  if (body.camera()) viewer.gaze.add(from_wire(*body.camera()), now_ns);
+  if (camera) viewer.gaze.add(*camera, now_ns);
   viewer.feed.want(body.max_kbps());
   const stream::StreamModel::Status held = model_.status();
   const bool same = held.ready && packet.stream_epoch() == held.epoch;

@@ -9,6 +9,7 @@
 
 #include "../../bus/bus_fixture.h"
 #include "bus/error.h"
+#include "bus/private_folder.h"
 #include "stream/relay_client.h"
 
 namespace splatbus::streamer {
@@ -129,9 +130,39 @@ TEST_F(EndpointTest, LiesWhereNobodyElseCouldHavePutIt) {
   struct stat made {};
   ASSERT_EQ(::stat((directory_.path() + "/made").c_str(), &made), 0);
   EXPECT_EQ(made.st_mode & 0777U, 0700U);
+  if (::getegid() == ::geteuid()) {
+    ASSERT_EQ(::chmod(open.c_str(), 0775), 0);
+    EXPECT_EQ(refusal("ipc://" + open + "/s"), "") << "its group is this user's own";
+  }
   if (::geteuid() != 0) GTEST_SKIP() << "the rest takes root";
+  ASSERT_EQ(::chown(open.c_str(), 0, 65534), 0);
+  EXPECT_THAT(refusal("ipc://" + open + "/s"), testing::HasSubstr("others may write to its folder"));
   ASSERT_EQ(::chown(others.c_str(), 65534, 65534), 0);
   EXPECT_THAT(refusal("ipc://" + others + "/s"), testing::HasSubstr("another user"));
+}
+
+// As /tmp is.
+TEST_F(EndpointTest, WhereNobodyMovesWhatIsAnothersItsOwnSocketIsThere) {
+  const std::string folder = directory_.path() + "/tmp", path = folder + "/s", address = "ipc://" + path;
+  ASSERT_EQ(::mkdir(folder.c_str(), 0700), 0);
+  ASSERT_EQ(::chmod(folder.c_str(), 01777), 0);
+  const auto refusal = [&] {
+    try {
+      bus::require_own_endpoint(address);
+    } catch (const bus::Error& error) {
+      return std::string(error.what());
+    }
+    return std::string();
+  };
+  EXPECT_THAT(refusal(), testing::HasSubstr("nobody is there yet"));
+  const Endpoint bound({address});
+  EXPECT_EQ(refusal(), "");
+  ASSERT_EQ(::chmod(path.c_str(), 0722), 0);
+  EXPECT_THAT(refusal(), testing::HasSubstr("others may write to it"));
+  if (::geteuid() != 0) GTEST_SKIP() << "the rest takes root";
+  ASSERT_EQ(::chmod(path.c_str(), 0700), 0);
+  ASSERT_EQ(::chown(path.c_str(), 65534, 65534), 0);
+  EXPECT_THAT(refusal(), testing::HasSubstr("another user"));
 }
 
 TEST_F(EndpointTest, OverIpcAnotherUserIsNotHeardEvenWhereTheDoorIsOpen) {

@@ -126,6 +126,8 @@ TEST_F(ViewerFeedTest, OfAPageThatWasOnlyReadNoDeltaIsMade) {
   server_.stream.set_holders({});
   ASSERT_TRUE(board_.page(0, false, false));
   ASSERT_TRUE(board_.page(1, false));
+  ASSERT_TRUE(board_.page(2, false, false));
+  ASSERT_TRUE(board_.page(2, false)) << "that was read before";
   server_.train(0.2F);
   ASSERT_TRUE(server_.stream.observe(server_.model().view()));
   server_.stream.make_tick(1e9, {});
@@ -133,7 +135,7 @@ TEST_F(ViewerFeedTest, OfAPageThatWasOnlyReadNoDeltaIsMade) {
   for (const auto& delta : server_.stream.take_update().deltas) {
     for (const auto& step : delta.steps) pages.insert(step.page);
   }
-  EXPECT_EQ(pages, std::set<std::uint32_t>{1});
+  EXPECT_EQ(pages, (std::set<std::uint32_t>{1, 2}));
 }
 
 }  // namespace

@@ -78,14 +78,28 @@ TEST(PeerBook, WhoLeavesAndComesBackHasHadWhatItHad) {
   const auto leaver = [](std::int64_t posed_ns) {
     return PeerBook::Leaver{.limits = {}, .spent = {}, .posed_ns = posed_ns};
   };
-  book.left("a", "192.0.2.1", leaver(1), kSecond);
-  book.left("b", "192.0.2.1", leaver(2), kSecond);
-  book.left("c", "", leaver(3), kSecond);
-  EXPECT_EQ(book.take_leaver("b", "192.0.2.1", kSecond)->posed_ns, 2) << "the same connection";
-  EXPECT_EQ(book.take_leaver("x", "192.0.2.1", kSecond)->posed_ns, 1) << "another one of the address";
-  EXPECT_FALSE(book.take_leaver("y", "192.0.2.1", kSecond)) << "nobody else has left there";
-  EXPECT_FALSE(book.take_leaver("z", "", kSecond)) << "this user's own have no address";
-  EXPECT_FALSE(book.take_leaver("c", "", kSecond + PeerBook::kRememberNs + 1)) << "by then all is there again";
+  book.left("a", "192.0.2.1", "ann", leaver(1), kSecond);
+  book.left("b", "192.0.2.1", "bob", leaver(2), kSecond);
+  book.left("c", "", "cyd", leaver(3), kSecond);
+  EXPECT_FALSE(book.take_leaver("x", "192.0.2.1", "eve", kSecond)) << "a neighbour owes nothing of theirs";
+  EXPECT_FALSE(book.take_leaver("x", "192.0.2.2", "ann", kSecond)) << "nor who has the name elsewhere";
+  EXPECT_EQ(book.take_leaver("b", "192.0.2.1", "new", kSecond)->posed_ns, 2) << "the same connection";
+  EXPECT_EQ(book.take_leaver("x", "192.0.2.1", "ann", kSecond)->posed_ns, 1) << "another one of address and name";
+  EXPECT_FALSE(book.take_leaver("y", "192.0.2.1", "ann", kSecond)) << "nobody else has left there";
+  EXPECT_FALSE(book.take_leaver("z", "", "cyd", kSecond)) << "this user's own have no address";
+  EXPECT_FALSE(book.take_leaver("c", "", "cyd", kSecond + PeerBook::kRememberNs + 1)) << "by then all is there again";
+}
+
+TEST(PeerBook, WhoTakesANewNameEachTimeIsForgivenAFew) {
+  PeerBook book;
+  int fresh = 0;
+  for (int k = 0; k < 100; ++k) {
+    const std::string name = std::to_string(k);
+    const auto owed = book.take_leaver(name, "192.0.2.1", name, kSecond);
+    fresh += owed ? 0 : 1;
+    book.left(name, "192.0.2.1", name, owed.value_or(PeerBook::Leaver{}), kSecond);
+  }
+  EXPECT_EQ(fresh, PeerBook::kForgiven + 1);
 }
 
 TEST(PageReaders, WhoIsNoServiceHasAFewAndTakesNoReadersPlace) {

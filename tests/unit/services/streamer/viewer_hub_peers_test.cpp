@@ -1,6 +1,8 @@
 // What peers of a hub cost each other, whoever they are.
 #include <gtest/gtest.h>
 
+#include <limits>
+
 #include "../../bus/bus_fixture.h"
 #include "../../nanoseconds.h"
 #include "../../stream/toy_server.h"
@@ -14,8 +16,10 @@ namespace {
 /// A connection of its own; with a number, a gateway's client.
 class Peer {
  public:
-  Peer(zmq::context_t& context, const std::string& endpoint, std::uint64_t client = 0)
+  Peer(zmq::context_t& context, const std::string& endpoint, std::uint64_t client = 0,
+       const bus::ClientKeys* keys = nullptr)
       : socket_(context, zmq::socket_type::dealer), client_(client) {
+    if (keys != nullptr) bus::use_keys(socket_, *keys);
     socket_.set(zmq::sockopt::linger, 0);
     socket_.set(zmq::sockopt::sndhwm, 0);
     socket_.set(zmq::sockopt::rcvhwm, 0);
@@ -29,15 +33,25 @@ class Peer {
     }
     socket_.send(zmq::buffer(packet.packet), zmq::send_flags::none);
   }
-  void hello(const std::string& name = "viewer") {
-    say(wire::Body::Hello, [&](auto& b) { return wire::CreateHelloDirect(b, name.c_str()); });
+  void hello(const std::string& name = "viewer", const wire::Camera* camera = nullptr) {
+    say(wire::Body::Hello, [&](auto& b) {
+      const auto text = b.CreateString(name);
+      wire::HelloBuilder hello(b);
+      hello.add_viewer(text);
+      if (camera != nullptr) hello.add_camera(camera);
+      return hello.Finish();
+    });
   }
   void bye() {
     say(wire::Body::Bye, [](auto& b) { return wire::CreateByeDirect(b, "over"); });
   }
-  void pose() {
-    const wire::Camera camera = to_wire(look_at({1, 2, 3}, {0, 0, 0}, 64, 48, 1));
+  void pose(std::uint32_t width = 64, std::uint32_t height = 48) {
+    const wire::Camera camera = to_wire(look_at({1, 2, 3}, {0, 0, 0}, width, height, 1));
     say(wire::Body::Pose, [&](auto& b) { return wire::CreatePose(b, &camera); });
+  }
+  void probe(std::uint64_t id, std::uint32_t width, std::uint32_t height) {
+    const wire::Camera camera = to_wire(look_at({1, 2, 3}, {0, 0, 0}, width, height, 1));
+    say(wire::Body::Probe, [&](auto& b) { return wire::CreateProbe(b, id, &camera); });
   }
   /// Pages, or a manifest.
   void ask(const std::vector<wire::PageVersion>& pages, bool manifest, std::uint64_t epoch = 0) {
@@ -68,7 +82,9 @@ class Peer {
 
 class HubPeersTest : public testing::Test {
  protected:
-  HubPeersTest() : endpoint_({"ipc://" + directory_.path() + "/streamer", "tcp://127.0.0.1:*"}) {
+  HubPeersTest() : HubPeersTest(EndpointOptions{}) {}
+  explicit HubPeersTest(const EndpointOptions& options)
+      : endpoint_({"ipc://" + directory_.path() + "/streamer", "tcp://127.0.0.1:*"}, options) {
     EXPECT_TRUE(model_.observe(stream::test::toy_model(20'000, 1).view()));
     model_.reset_to_target();
     hub_.restart_all();
@@ -76,7 +92,6 @@ class HubPeersTest : public testing::Test {
   [[nodiscard]] std::unique_ptr<Peer> peer(std::uint64_t client = 0) {
     return std::make_unique<Peer>(context_, endpoint_.bound()[0], client);
   }
-  [[nodiscard]] std::unique_ptr<Peer> stranger() { return std::make_unique<Peer>(context_, endpoint_.bound()[1]); }
   bool receive_until(const std::function<bool()>& done) {
     return bus_test::eventually([&] { return hub_.receive(now_ns_), done(); });
   }
@@ -87,10 +102,12 @@ class HubPeersTest : public testing::Test {
   zmq::context_t context_;
   Endpoint endpoint_;
   stream::StreamModel model_{stream::PacketWriter("streamer", 1), 77, stream::StreamOptions{}};
-  std::uint64_t poses_ = 0;
+  std::uint64_t poses_ = 0, probes_ = 0;
   ViewerHub hub_{endpoint_, model_, stream::PacketWriter("streamer", 1),
                  HubOptions{.max_viewers = kPlaces, .max_viewers_per_address = kPlacesOfOne, .viewer_kbps = kKbps},
-                 HubEvents{.pose = [this](const auto&, const auto&) { ++poses_; }, .probe = {}, .quality = {}}};
+                 HubEvents{.pose = [this](const auto&, const auto&) { ++poses_; },
+                           .probe = [this](const auto&, const auto&) { ++probes_; },
+                           .quality = {}}};
   std::int64_t now_ns_ = kSecond;
 };
 
@@ -142,10 +159,46 @@ TEST_F(HubPeersTest, OneAddressHoldsSoManyPlaces) {
   EXPECT_TRUE(receive_until([&] { return hub_.viewers() == kPlaces; }));
 }
 
-TEST_F(HubPeersTest, OverTcpThisMachineIsOneAddressWhoeverItNames) {
+TEST_F(HubPeersTest, OverPlainTcpThisMachineIsTrustedAsOverIpc) {
+  std::vector<std::unique_ptr<Peer>> all;
+  for (std::uint64_t k = 1; k <= kPlacesOfOne + 1; ++k) {
+    for (const std::uint64_t client : {std::uint64_t{0}, k}) {  // itself, and a gateway's clients
+      all.push_back(std::make_unique<Peer>(context_, endpoint_.bound()[1], client));
+      all.back()->hello();
+    }
+  }
+  ASSERT_EQ(all.size(), kPlaces);
+  EXPECT_TRUE(receive_until([&] { return hub_.viewers() == kPlaces; }));
+  all.push_back(std::make_unique<Peer>(context_, endpoint_.bound()[1]));
+  all.back()->ask({}, true);
+  ASSERT_TRUE(receive_until([&] { return all.back()->read(wire::Body::Manifest) > 0; }));
+}
+
+/// A server's key, and one that may only look.
+struct Keys {
+  Keys() {
+    bus::write_key_file(options.keys.key, server);
+    bus::write_allow_list(options.keys.allowed, {{"somebody", client.public_key, {.view = true}}});
+  }
+
+  bus_test::TemporaryDirectory folder;
+  EndpointOptions options{
+      .keys = {.key = folder.path() + "/server.key", .allowed = folder.path() + "/allowed", .always = true}};
+  bus::KeyPair server = bus::make_key_pair(), client = bus::make_key_pair();
+};
+
+/// Over tcp with that.
+class KeyedHubPeersTest : private Keys, public HubPeersTest {
+ protected:
+  KeyedHubPeersTest() : HubPeersTest(options), keys_{client, server.public_key} {}
+
+  bus::ClientKeys keys_;
+};
+
+TEST_F(KeyedHubPeersTest, WhoMayOnlyLookIsOneAddressWhoeverItNames) {
   std::vector<std::unique_ptr<Peer>> all;
   for (std::uint64_t k = 1; k <= kPlaces; ++k) {
-    all.push_back(std::make_unique<Peer>(context_, endpoint_.bound()[1], k));
+    all.push_back(std::make_unique<Peer>(context_, endpoint_.bound()[1], k, &keys_));
     all.back()->hello();
   }
   std::size_t refused = 0;
@@ -157,11 +210,12 @@ TEST_F(HubPeersTest, OverTcpThisMachineIsOneAddressWhoeverItNames) {
 }
 
 /// Joins, is sent what there is, and leaves, again and again: bytes that were sent in `cycles` of a twentieth second.
-std::uint64_t bytes_of_cycles(int cycles, const std::function<Peer&()>& next, ViewerHub& hub, std::int64_t& now_ns) {
+std::uint64_t bytes_of_cycles(int cycles, const std::function<Peer&()>& next, ViewerHub& hub, std::int64_t& now_ns,
+                              bool new_names = false) {
   (void)hub.statistics().close_window(now_ns);
   for (int k = 0; k < cycles; ++k) {
     Peer& peer = next();
-    peer.hello();
+    peer.hello(new_names ? "viewer " + std::to_string(k) : "viewer");
     EXPECT_TRUE(bus_test::eventually([&] { return hub.receive(now_ns), hub.viewers() == 1; }));
     for (int step = 0; step < 5; ++step) hub.pump(now_ns += kSecond / 100);
     peer.bye();
@@ -182,6 +236,48 @@ TEST_F(HubPeersTest, HelloAndByeBringNoBytesBeyondTheRate) {
   const auto another = [&]() -> Peer& { return *others.emplace_back(peer(7)); };
   EXPECT_LE(static_cast<double>(bytes_of_cycles(kCycles, another, hub_, now_ns_)), kAllowed)
       << "by other connections of one address";
+}
+
+TEST_F(HubPeersTest, NewNamesBringNoBytesBeyondTheRate) {
+  constexpr int kCycles = 12;
+  constexpr double kAllowed = kKbps * 125 * (0.1 * (1 + PeerBook::kForgiven + 1) + 0.05 * kCycles) + 1000 * kCycles;
+  std::vector<std::unique_ptr<Peer>> others;
+  const auto another = [&]() -> Peer& { return *others.emplace_back(peer(7)); };
+  EXPECT_LE(static_cast<double>(bytes_of_cycles(kCycles, another, hub_, now_ns_, true)), kAllowed);
+}
+
+// A greeting that makes no sense is refused before what it owes is taken from the book.
+TEST_F(HubPeersTest, AGreetingThatMakesNoSensePaysNoDebts) {
+  const auto same = peer();
+  wire::Camera nowhere = to_wire(look_at({1, 2, 3}, {0, 0, 0}, 64, 48, 1));
+  nowhere.mutate_fx(std::numeric_limits<float>::quiet_NaN());
+  for (int k = 0; k < 3; ++k) {
+    same->hello();
+    ASSERT_TRUE(receive_until([&] { return hub_.viewers() == 1; }));
+    const std::uint64_t ignored = hub_.ignored();
+    same->pose();
+    same->say(wire::Body::Quality, [](auto& b) { return wire::CreateQuality(b, 1); });
+    ASSERT_TRUE(receive_until([&] { return hub_.ignored() > ignored; })) << "what it said has been heard";
+    same->bye();
+    ASSERT_TRUE(receive_until([&] { return hub_.viewers() == 0; }));
+    if (k < 2) same->hello("viewer", &nowhere);  // it has five greetings
+  }
+  EXPECT_EQ(poses_, 1U) << "in no time at all";
+}
+
+TEST_F(HubPeersTest, AScreenMayBeLargerThanAProbe) {
+  const auto one = peer();
+  const wire::Camera screen = to_wire(look_at({1, 2, 3}, {0, 0, 0}, 7680, 4320, 1));
+  one->hello("viewer", &screen);
+  ASSERT_TRUE(receive_until([&] { return hub_.viewers() == 1; }));
+  one->pose(6016, 3384);
+  ASSERT_TRUE(receive_until([&] { return poses_ == 1; }));
+  one->probe(1, 8192, 2049);
+  one->probe(2, 8192, 2048);
+  ASSERT_TRUE(receive_until([&] { return probes_ > 0; }));
+  one->say(wire::Body::Quality, [](auto& b) { return wire::CreateQuality(b, 1); });
+  ASSERT_TRUE(receive_until([&] { return hub_.ignored() > 0; }));
+  EXPECT_EQ(probes_, 1U) << "somebody else would render that";
 }
 
 TEST_F(HubPeersTest, HelloAndByeBringNoPosesBeyondTheHubsPace) {
@@ -210,7 +306,7 @@ TEST_F(HubPeersTest, AnEmptyPageRequestKeepsNothingGoing) {
   EXPECT_TRUE(hub_.is_followed()) << "one of this user's own, such as a gateway";
 }
 
-TEST_F(HubPeersTest, StrangersReadLittleAndShutNoGatewayOut) {
+TEST_F(KeyedHubPeersTest, StrangersReadLittleAndShutNoGatewayOut) {
   std::vector<std::unique_ptr<Peer>> strangers;
   std::vector<wire::PageVersion> pages;
   for (const stream::OfferedPage& page : *model_.offered()) pages.emplace_back(page.page, page.version);
@@ -218,7 +314,7 @@ TEST_F(HubPeersTest, StrangersReadLittleAndShutNoGatewayOut) {
   pages.resize(16);
   const std::uint64_t epoch = model_.status().epoch;
   for (int k = 0; k < 20; ++k) {
-    strangers.push_back(stranger());
+    strangers.push_back(std::make_unique<Peer>(context_, endpoint_.bound()[1], 0, &keys_));
     strangers.back()->ask(pages, false, epoch);
   }
   int given = 0;
