@@ -51,7 +51,10 @@ class StreamSession final : public BrowserSocket {
       try {
         return StreamLink(relay_.context, streamer->endpoint, client_);
       } catch (const std::exception& error) {
-        if (!relay_.streamers.pass_over(*streamer, error.what(), now_ns)) break;
+        if (relay_.streamers.pass_over(*streamer, error.what(), now_ns)) continue;
+        // There is no other, and none will be told of: the page comes again, and by then it may be reached.
+        unreachable_ = true;
+        break;
       }
     }
     streamer = stream::StreamerPlace();  // until there is another
@@ -66,6 +69,10 @@ class StreamSession final : public BrowserSocket {
     return {.packet = zmq::message_t(asks.packet.data(), asks.packet.size()), .payload = {}};
   }
   asio::awaitable<void> write_messages() override {
+    if (unreachable_) {
+      close("the streamer cannot be reached");
+      co_return;
+    }
     StreamPacket packet;
     while (!stopped_ && !closing_) {
       if (std::exchange(moved_, false)) {
@@ -102,6 +109,7 @@ class StreamSession final : public BrowserSocket {
 
   static constexpr int kTries = 8;
   std::uint64_t client_;
+  bool unreachable_ = false;
   StreamLink link_;
   asio::posix::stream_descriptor wake_;
   bool moved_ = false;

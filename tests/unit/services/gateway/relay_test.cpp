@@ -101,6 +101,19 @@ TEST_F(Relay, NobodyConnectsWhereOthersMayHavePutASocket) {
   EXPECT_THROW((void)viewer::make_zmq_link("ipc://" + open + "/streamer", "", ""), bus::Error);
 }
 
+TEST_F(Relay, ABrowserThatCannotBeLinkedIsToldSo) {
+  const std::string folder = directory_.path() + "/open";
+  ASSERT_EQ(::mkdir(folder.c_str(), 0700), 0);
+  const FakeStreamer streamer(folder);
+  start_gateway(streamer.endpoint());
+  ASSERT_EQ(::chmod(folder.c_str(), 0777), 0);
+  WebSocketClient page(port_);
+  ASSERT_TRUE(page.open());
+  EXPECT_FALSE(page.receive());
+  EXPECT_EQ(page.close_code(), 1008);
+  EXPECT_TRUE(page.wire().ends()) << "so that it tries again";
+}
+
 TEST_F(Relay, ManyBrowsersHoldIt) {
   start_streamer();
   start_gateway(endpoint());
