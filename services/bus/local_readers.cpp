@@ -35,7 +35,7 @@ void LocalReaders::note(const zmq::message_t& event, const std::string& prefix, 
   if (found == readers_.end() && readers_.size() >= max_readers) return;
   Reader& reader = readers_[socket.cookie];
   if (found == readers_.end())
-    reader = {.socket = socket, .pid = process_of(socket.fd), .prefixes = {}, .behind_since_ns = 0};
+    reader = {.socket = socket, .pid = process_of(socket.fd), .prefixes = {}, .untaken = 0, .behind_since_ns = 0};
   if (reader.prefixes.size() < max_prefixes_of_reader) reader.prefixes.insert(prefix);
 }
 
@@ -46,10 +46,16 @@ void LocalReaders::forget_closed() {
 void LocalReaders::look(std::int64_t now) {
   for (auto& [cookie, reader] : readers_) {
     int untaken = 0;
-    const bool behind =
-        bus::cookie_of(reader.socket.fd) == cookie && ::ioctl(reader.socket.fd, SIOCOUTQ, &untaken) == 0 && untaken > 0;
-    if (!behind) reader.behind_since_ns = 0;
-    if (behind && reader.behind_since_ns == 0) reader.behind_since_ns = now;
+    if (bus::cookie_of(reader.socket.fd) != cookie || ::ioctl(reader.socket.fd, SIOCOUTQ, &untaken) != 0) untaken = 0;
+    // The kernel lets a Unix socket be filled again only once three quarters of it are taken: of one that is read,
+    // there is less at one look or another, however much waits behind it.
+    const bool took = untaken < reader.untaken;
+    reader.untaken = untaken;
+    if (untaken == 0) {
+      reader.behind_since_ns = 0;
+    } else if (took || reader.behind_since_ns == 0) {
+      reader.behind_since_ns = now;
+    }
   }
 }
 

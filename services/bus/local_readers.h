@@ -22,8 +22,8 @@ class LocalReaders {
 
   /// Looks which of them the kernel has bytes for that they do not take. To be called a few times a second.
   void look(std::int64_t now);
-  /// Closes those that have not taken all there was at one look or another for seconds: what waits for them keeps
-  /// others from large messages. A process that was only stopped connects again. Returns their processes.
+  /// Closes those of which bytes wait and that have taken none for seconds, as far as looks tell: what waits for them
+  /// keeps others from large messages. A process that was only stopped connects again. Returns their processes.
   std::vector<std::uint32_t> close_stuck(std::int64_t now);
 
   /// Sources that read the topic, 16 at most; a process without heartbeats is "pid N".
@@ -35,7 +35,8 @@ class LocalReaders {
     bus::PeerSocket socket;
     std::uint32_t pid = 0;
     std::set<std::string> prefixes;
-    std::int64_t behind_since_ns = 0;  ///< 0: it has taken all
+    int untaken = 0;                   ///< bytes, at the last look
+    std::int64_t behind_since_ns = 0;  ///< since when it has taken nothing; 0: it has taken all
   };
   std::map<std::uint64_t, Reader> readers_;  ///< by the socket's cookie
 };

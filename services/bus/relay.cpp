@@ -23,6 +23,7 @@ constexpr int subscriptions_a_turn = 256;
 constexpr double share_of_a_source = 0.5;  // of what is held
 constexpr std::int64_t remote_stamp = -1;  // of what came over tcp, whose clock is another
 constexpr std::int64_t due_check_ms = 20;
+constexpr std::size_t max_missed = 8192;  // as many as are held
 
 std::string latch_key_of(const wire::Header& header) {
   return header.latch_key() == nullptr ? std::string() : header.latch_key()->str();
@@ -199,16 +200,33 @@ bool Relay::hold(const bus::Frames& frames, const wire::Header& header, bool loc
 }
 
 void Relay::send(Side& side, const bus::Frames& frames, const wire::Header& header) {
-  if (side.local) return send_here(frames);
+  if (side.local) return send_here(frames, header);
   if (!subscriptions_.wants(frames.topic_text())) return;
   if (auto ready = remote_readers_.offer(frames, header)) bus::send_frames(side.xpub, std::move(*ready));
 }
 
 // What comes over tcp has its bulk data in it, and a reader that is stopped lets thousands of messages wait.
-void Relay::send_here(const bus::Frames& frames) {
+void Relay::send_here(const bus::Frames& frames, const wire::Header& header) {
   if (unsent_here_.has_room(frames.bytes())) return bus::send_frames(local_.xpub, unsent_here_.share(frames));
   ++left_out_here_;
   left_out_here_lately_ = true;
+  if (header.latch() && missed_here_.size() < max_missed) {
+    missed_here_.emplace(frames.topic.to_string(), latch_key_of(header));
+  }
+}
+
+// What is held is said once: who missed it would wait for the next one, which may never come.
+void Relay::resend_missed() {
+  for (auto at = missed_here_.begin(); at != missed_here_.end();) {
+    const auto* held = held_.find(at->first, at->second);
+    if (held != nullptr && !unsent_here_.has_room(held->frames.bytes())) {
+      left_out_here_lately_ = true;
+      ++at;
+      continue;
+    }
+    if (held != nullptr) bus::send_frames(local_.xpub, unsent_here_.share(held->frames));
+    at = missed_here_.erase(at);
+  }
 }
 
 void Relay::make_room(std::int64_t now) {
@@ -282,6 +300,7 @@ void Relay::tick() {
   if (now < next_beat_ns_) return;
   next_beat_ns_ = now + beat_ns;
   relay_own(own_.heartbeat(statistics(), wire::ServiceState::Running));
+  resend_missed();
   make_room(now);
   sources_.forget_some();
   for (const auto& source : liveness_.update(now)) held_.erase(std::string(topics::kHeartbeat.name), source);

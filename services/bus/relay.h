@@ -8,6 +8,7 @@
 #include <set>
 #include <string>
 #include <thread>
+#include <utility>
 #include <zmq.hpp>
 
 #include "bus/broker.h"
@@ -61,7 +62,8 @@ class Relay {
   bool hold(const bus::Frames& frames, const wire::Header& header, bool local);
   bool is_stale(const wire::Header& header, const bus::LatchStore::Held& held, bool local) const;
   void send(Side& side, const bus::Frames& frames, const wire::Header& header);
-  void send_here(const bus::Frames& frames);
+  void send_here(const bus::Frames& frames, const wire::Header& header);
+  void resend_missed();
   void send_inlined();
   void read_subscriptions(Side& side);
   std::set<std::string> readers_of(const std::string& topic) const;
@@ -84,6 +86,7 @@ class Relay {
   LocalReaders local_readers_;
   UnsentBytes unsent_here_;
   bool left_out_here_lately_ = false;
+  std::set<std::pair<std::string, std::string>> missed_here_;  ///< topics and keys of what is held and was left out
   RemoteSubscriptions subscriptions_;
   RemoteReaders remote_readers_;
   Sources sources_;

@@ -56,9 +56,12 @@ std::optional<bus::Frames> RemoteReaders::offer(const bus::Frames& frames, const
   const std::scoped_lock lock(mutex_);
   const auto waiting = topics_.find(topic);
   const bool waits = has_slab_tensors(header) || waiting != topics_.end();  // else it would overtake those before it
-  if ((waits && jobs_.size() + done_.size() >= max_jobs) || !unsent_.has_room(frames.bytes() + bytes, job_bytes_)) {
+  const bool busy = waits && jobs_.size() + done_.size() >= max_jobs;
+  const bool full = !unsent_.has_room(frames.bytes() + bytes, job_bytes_);
+  if (busy || full) {
     ++left_out_;
-    if (unserved_.size() < max_unserved) unserved_.emplace(topic);
+    // That copies take long is no reader's doing.
+    if (full && unserved_.size() < max_unserved) unserved_.emplace(topic);
     return std::nullopt;
   }
   if (!waits) return unsent_.share(frames);

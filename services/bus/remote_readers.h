@@ -53,7 +53,7 @@ class RemoteReaders {
   [[nodiscard]] int ready_fd() const { return ready_.get(); }
 
   [[nodiscard]] std::uint64_t left_out() const { return left_out_; }
-  /// Topics of what was left out since the last time, some of them.
+  /// Topics of what was left out since the last time because readers had too much unread, some of them.
   [[nodiscard]] std::set<std::string> take_unserved() { return std::exchange(unserved_, {}); }
 
  private:

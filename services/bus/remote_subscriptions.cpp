@@ -49,7 +49,8 @@ void RemoteSubscriptions::forget_closed() {
 std::vector<int> RemoteSubscriptions::readers_of(std::string_view topic) const {
   std::vector<int> result;
   for (const auto& [connection, reader] : readers_) {
-    if (has_prefix_of(topic, reader.prefixes)) result.push_back(reader.socket.fd);
+    const bool is_its_own = bus::cookie_of(reader.socket.fd) == reader.socket.cookie;  // not a later connection's
+    if (is_its_own && has_prefix_of(topic, reader.prefixes)) result.push_back(reader.socket.fd);
   }
   return result;
 }

@@ -3,10 +3,13 @@
 #include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <sys/ioctl.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
 #include <optional>
+#include <thread>
+#include <utility>
 #include <zmq.hpp>
 
 #include "../../hostile/raw_zmtp.h"
@@ -24,6 +27,7 @@ class LocalReadersTest : public testing::Test {
   LocalReadersTest() : endpoint_("ipc://" + folder_.path() + "/xpub") {
     xpub_.set(zmq::sockopt::xpub_verbose, true);
     xpub_.set(zmq::sockopt::rcvtimeo, 60'000);
+    xpub_.set(zmq::sockopt::linger, 0);
     xpub_.bind(endpoint_);
   }
 
@@ -136,6 +140,40 @@ TEST_F(LocalReadersTest, WhoTakesNothingForSecondsIsClosedWhenThatIsAsked) {
   EXPECT_EQ(readers_.close_stuck(4 * kSecond).size(), 1U);
   EXPECT_TRUE(bus_test::eventually([&] { return stopped.closed_within(std::chrono::milliseconds(100)); }));
   flood();
+}
+
+TEST_F(LocalReadersTest, WhoReadsOnIsNotStuckHoweverMuchWaits) {
+  constexpr std::int64_t kSecond = 1'000'000'000;
+  xpub_.set(zmq::sockopt::sndtimeo, 0);
+  hostile::RawZmtp slow(endpoint_);
+  ASSERT_TRUE(slow.handshake("SUB"));
+  ASSERT_TRUE(slow.send_frame("\x01many", false));
+  note_one();
+  for (int i = 0; i < 20; ++i) xpub_.send(zmq::buffer("many" + std::string(1 << 20, 'x')), zmq::send_flags::dontwait);
+  // Until the kernel has as much as it takes.
+  const auto untaken = [&] {
+    int bytes = 0;
+    ::ioctl(slow.fd(), FIONREAD, &bytes);
+    return bytes;
+  };
+  int before = -1;
+  ASSERT_TRUE(bus_test::eventually([&] {
+    std::this_thread::sleep_for(std::chrono::milliseconds(50));
+    return untaken() > 0 && std::exchange(before, untaken()) == untaken();
+  }));
+  readers_.look(kSecond);
+  const int half = untaken() / 2;
+  for (int taken = 0; taken < half + 1000;) {
+    const std::string some =
+        slow.read_some(static_cast<std::size_t>(half + 1000 - taken), std::chrono::milliseconds(5000));
+    ASSERT_FALSE(some.empty());
+    taken += static_cast<int>(some.size());
+  }
+  ASSERT_GT(untaken(), 0);
+  readers_.look(3 * kSecond);
+  EXPECT_TRUE(readers_.close_stuck(4 * kSecond).empty()) << "it has taken some";
+  readers_.look(5 * kSecond);
+  EXPECT_EQ(readers_.close_stuck(6 * kSecond).size(), 1U) << "and none since";
 }
 
 TEST_F(LocalReadersTest, NamesAndPrefixesAreBounded) {

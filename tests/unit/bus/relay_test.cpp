@@ -4,6 +4,7 @@
 #include <string>
 #include <vector>
 
+#include "../../hostile/raw_zmtp.h"
 #include "../nanoseconds.h"
 #include "bus/clock.h"
 #include "bus/latch_store.h"
@@ -105,6 +106,37 @@ TEST_F(Relay, AMessageWhoseFieldsOverlapIsNotHeld) {
   }
   EXPECT_EQ(number, 99u) << "the broker goes on";
   EXPECT_GT(broker_->statistics().malformed, 0u);
+}
+
+/// Where two messages of 700 kB have no room at once.
+class SmallRelay : public BusTest {
+ protected:
+  SmallRelay() {
+    broker_.reset();
+    auto bounded = options(false);
+    bounded.max_remote_bytes = 1 << 20;
+    broker_ = std::make_unique<bus_service::Broker>(bounded);
+    broker_->start();
+  }
+};
+
+TEST_F(SmallRelay, WhatIsHeldComesToWhoCameWhileThereWasNoRoomForIt) {
+  RawPublisher raw(directory_.address().publish_endpoint());
+  const std::string payload(700'000, 'x');
+  raw.send({"grid/state", probe_body(1, 7, {}, "ViewerProbe/1", true, "key"), payload});
+  hostile::RawZmtp slow(directory_.address().subscribe_endpoint());
+  ASSERT_TRUE(slow.handshake("SUB"));
+  ASSERT_TRUE(slow.send_frame("\x01grid/state", false));
+  ASSERT_FALSE(slow.read_some(1, patience).empty());
+  const std::uint64_t dropped = broker_->statistics().inline_dropped;
+  bus::Subscriber late(connect("late"), {"grid/state"});
+  ASSERT_TRUE(eventually([&] { return broker_->statistics().inline_dropped > dropped; }));
+  for (std::size_t taken = 0; taken < payload.size();) {
+    const std::string some = slow.read_some(1 << 16, patience);
+    ASSERT_FALSE(some.empty());
+    taken += some.size();
+  }
+  EXPECT_EQ(receive_number(late), 7u);
 }
 
 TEST_F(Relay, AReaderThatHasLeftIsInlinedForNoMore) {

@@ -77,6 +77,20 @@ TEST_F(RemoteSubscriptionsTest, WhoIsGoneWantsNothing) {
   EXPECT_TRUE(subscriptions_.wants("scene/state"));
 }
 
+// The number of its descriptor is another's soon.
+TEST_F(RemoteSubscriptionsTest, WhoIsGoneHasNoDescriptor) {
+  auto one = connect();
+  EXPECT_TRUE(subscribe(one, "model/"));
+  EXPECT_EQ(subscriptions_.readers_of("model/published").size(), 1U);
+  one.close();
+  EXPECT_TRUE(bus_test::eventually([&] {
+    zmq::message_t event;  // libzmq closes it when the socket is used
+    static_cast<void>(xpub_.recv(event, zmq::recv_flags::dontwait));
+    return subscriptions_.readers_of("model/published").empty();
+  }));
+  EXPECT_TRUE(subscriptions_.wants("model/published")) << "nobody has said so yet";
+}
+
 TEST_F(RemoteSubscriptionsTest, AReaderOfTooMuchIsBoundedAndNobodyElse) {
   auto greedy = connect(), good = connect();
   for (std::size_t i = 0; i < RemoteSubscriptions::kOfReader; ++i) {

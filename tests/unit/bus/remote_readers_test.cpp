@@ -1,0 +1,50 @@
+// Whose doing it is that readers over tcp miss a message.
+#include "bus/remote_readers.h"
+
+#include <gmock/gmock.h>
+
+#include <chrono>
+#include <future>
+
+#include "fake_broker.h"
+
+namespace splatbus::bus_service {
+namespace {
+
+bus::Frames frames_of(const std::string& topic, const std::string& body) {
+  bus::Frames frames;
+  frames.topic.rebuild(topic.data(), topic.size());
+  frames.body.rebuild(body.data(), body.size());
+  return frames;
+}
+
+const wire::Header& header_of(const bus::Frames& frames) {
+  return *flatbuffers::GetRoot<wire::Envelope>(frames.body.data())->header();
+}
+
+TEST(RemoteReaders, OnlyWhatTheyHaveNotReadIsTheirDoing) {
+  std::promise<void> go;
+  const auto gone = go.get_future().share();
+  constexpr std::size_t kMaxBytes = 1 << 20;
+  RemoteReaders readers(
+      [&](std::uint64_t) {
+        gone.wait_for(std::chrono::seconds(30));
+        return std::shared_ptr<bus::Slab>();
+      },
+      kMaxBytes);
+  const bus_test::RawTensor tensor{
+      .span = wire::Span(1, 2, 0, 4, wire::Storage::Slab), .shape = {1}, .type = wire::ElementType::F32};
+  const auto copied = frames_of("slow", bus_test::probe_body(1, 1, {tensor}));
+  while (readers.left_out() == 0) ASSERT_FALSE(readers.offer(copied, header_of(copied)).has_value());
+  EXPECT_THAT(readers.take_unserved(), testing::IsEmpty()) << "copies take long";
+
+  bus::Frames large = frames_of("large", bus_test::probe_body(1, 1));
+  large.has_payload = true;
+  large.payload.rebuild(kMaxBytes);
+  EXPECT_FALSE(readers.offer(large, header_of(large)).has_value());
+  EXPECT_THAT(readers.take_unserved(), testing::ElementsAre("large"));
+  go.set_value();
+}
+
+}  // namespace
+}  // namespace splatbus::bus_service
