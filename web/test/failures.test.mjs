@@ -2,13 +2,12 @@
 import assert from 'node:assert/strict';
 import { test } from 'node:test';
 import { filmed } from './browser.mjs';
-import { answering, kMiddle, kPage, opened, shownColors } from './opened_page.mjs';
+import { answering, kMiddle, kPage, opened, settled, shownColors } from './opened_page.mjs';
 import { colorsIn, readPng } from './png.mjs';
 
 const kLimit = { timeout: 60_000 };
 const kColors = 500; // of the scene; a background alone has few
 const pageOf = (api) => kPage.replace('#', `?gpu=${api}#`);
-const settled = (page) => page.waitForFunction(() => document.querySelector('.still').naturalWidth > 300 && document.querySelector('[data-figure=frames]').textContent === 'at rest');
 const drawsBy = (page, api) =>
   page.waitForFunction((name) => {
     const { stage } = window.splatbus;

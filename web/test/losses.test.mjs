@@ -3,7 +3,7 @@
 import assert from 'node:assert/strict';
 import { test } from 'node:test';
 import { filmed } from './browser.mjs';
-import { crashGpu, kMiddle, kPage, opened, shownColors } from './opened_page.mjs';
+import { crashGpu, kMiddle, kPage, opened, settled, shownColors } from './opened_page.mjs';
 import { colorsIn, readPng } from './png.mjs';
 import { letTrap, trapIn } from './trapping.mjs';
 
@@ -11,8 +11,6 @@ const kLimit = { timeout: 60_000 }; // sooner than ctest's, which would not say 
 const kColors = 500; // of the scene; a background alone has few
 const kApis = ['webgl2', 'webgpu'];
 const pageOf = (api) => kPage.replace('#', `?gpu=${api}#`);
-/** A still is kept of the picture at rest. */
-const settled = (page) => page.waitForFunction(() => document.querySelector('.still').naturalWidth > 300 && document.querySelector('[data-figure=frames]').textContent === 'at rest');
 /** All rows have been uploaded so many times, and are drawn. */
 const uploaded = (page, times, count = 3000) =>
   page.waitForFunction((rows) => {

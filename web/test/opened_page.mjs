@@ -25,12 +25,28 @@ export async function crashGpu() {
   await session.send('Browser.crashGpuProcess').catch(() => {}); // it ends before it answers
 }
 
+/** In the page: stills that are being made, and those of the picture at rest, which are of its own canvas, that were. */
+function countStills() {
+  const { toBlob } = HTMLCanvasElement.prototype;
+  window.stills = { due: 0, atRest: 0 };
+  HTMLCanvasElement.prototype.toBlob = function (hear, ...how) {
+    const atRest = this.isConnected;
+    ++window.stills.due;
+    return toBlob.call(this, (blob) => {
+      hear(blob);
+      --window.stills.due;
+      if (atRest) ++window.stills.atRest;
+    }, ...how);
+  };
+}
+
 /** The page, once it shows the scene at rest. `init` runs in it first, `before` here; `wrong`: the errors that are due. */
 export async function opened(path, run, { init = () => {}, before: prepare = () => {}, wrong = [], ...options } = {}) {
   const context = await browser.newContext({ viewport: { width: 320, height: 200 }, ...options });
   const page = await context.newPage();
   page.setDefaultTimeout(90_000);
   await page.addInitScript(init);
+  await page.addInitScript(countStills);
   await prepare(page);
   const errors = [];
   page.on('pageerror', (error) => errors.push(String(error)));
@@ -53,6 +69,13 @@ export const goal = (page) => page.evaluate(() => window.splatbus.rig.goal);
 export const kStart = { target: [0, 0, 0], yaw: 1, pitch: 0.5, distance: 4 };
 export const view = (pose) => `view=${[...pose.target, pose.yaw, pose.pitch, pose.distance]}`;
 export const kPage = `index.html#${view(kStart)}`;
+
+/** A still is kept of the picture at rest. */
+export const settled = (page) =>
+  page.waitForFunction(() => {
+    const still = document.querySelector('.still');
+    return window.stills.atRest > 0 && window.stills.due === 0 && still.complete && still.naturalWidth > 300;
+  });
 
 /** Of the page's 320 x 200 pixels, those that no words cover. */
 export const kMiddle = { x: 60, y: 60, width: 200, height: 100 };
