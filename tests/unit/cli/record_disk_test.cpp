@@ -17,7 +17,17 @@ using bus_test::eventually;
 using bus_test::publish_number;
 
 /// What a recording is worth when its disk is slow or full, or its file is split or never completed.
-class RecordDiskTest : public RecordTest {};
+class RecordDiskTest : public RecordTest {
+ protected:
+  RecorderOptions in_parts() {
+    RecorderOptions options;
+    options.file = to_file(path());
+    options.file.split = true;
+    options.file.max_bytes = 30'000;
+    options.file.writer.chunk_bytes = 1000;
+    return options;
+  }
+};
 
 /// A disk that takes nothing until it is let.
 class SlowDisk : public mcap::Output {
@@ -173,11 +183,7 @@ TEST_F(RecordDiskTest, AFullDiskEndsTheRecordingAndWhatIsCountedAsWrittenCanBeRe
 }
 
 TEST_F(RecordDiskTest, EachPartOfASplitRecordingStandsAlone) {
-  RecorderOptions options;
-  options.file = to_file(path());
-  options.file.split = true;
-  options.file.max_bytes = 30'000;
-  options.file.writer.chunk_bytes = 1000;
+  const RecorderOptions options = in_parts();
   const auto engine = connect("engine");
   bus_test::NumberPublisher numbers(engine, "numbers"), light(engine, "light");
   const auto recorder = record(options);
@@ -208,11 +214,7 @@ TEST_F(RecordDiskTest, EachPartOfASplitRecordingStandsAlone) {
 }
 
 TEST_F(RecordDiskTest, EachPartSaysWhatIsMissingOfIt) {
-  RecorderOptions options;
-  options.file = to_file(path());
-  options.file.split = true;
-  options.file.max_bytes = 30'000;
-  options.file.writer.chunk_bytes = 1000;
+  const RecorderOptions options = in_parts();
   const auto engine = connect("engine");
   bus_test::NumberPublisher numbers(engine, "numbers"), pictures(engine, "pictures");
   const auto slab = engine->create_slab("ring", 1, 1024);
