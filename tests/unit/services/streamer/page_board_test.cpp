@@ -90,7 +90,8 @@ TEST_F(ViewerFeedTest, AManifestIsMadeOnceUntilSomethingChanges) {
   for (std::size_t k = 0; k < anew.size(); ++k) {
     const auto pages = [](const stream::EncodedPacket& packet) {
       std::vector<std::pair<std::uint32_t, std::uint32_t>> named;
-      for (const wire::PageInfo* info : *stream::test::parse(packet).root().body_as_Manifest()->pages()) {
+      const auto parsed = stream::test::parse(packet);
+      for (const wire::PageInfo* info : *parsed.root().body_as_Manifest()->pages()) {
         named.emplace_back(info->page(), info->version());
       }
       return named;
@@ -104,7 +105,8 @@ TEST_F(ViewerFeedTest, AManifestIsMadeOnceUntilSomethingChanges) {
 TEST_F(ViewerFeedTest, AManifestSaysTheBytesOfWhatIsEncoded) {
   const auto said = [&](std::uint32_t page) {
     const auto packets = server_.stream.manifest_packets(*server_.stream.offered(), {}, true);
-    for (const wire::PageInfo* info : *stream::test::parse(packets[0]).root().body_as_Manifest()->pages()) {
+    const auto parsed = stream::test::parse(packets[0]);
+    for (const wire::PageInfo* info : *parsed.root().body_as_Manifest()->pages()) {
       if (info->page() == page) return info->bytes();
     }
     return 0U;
