@@ -31,7 +31,7 @@ struct ViewerQuality;
 }  // namespace wire
 
 /// Of all that crosses a process boundary: raised when a peer of before could misread or break what is new.
-inline constexpr std::uint32_t kProtocolVersion = 1;
+inline constexpr std::uint32_t kProtocolVersion = 2;
 
 /// What Header.schema says of a root table: its name and version.
 template <class Table>
