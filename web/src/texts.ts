@@ -1,4 +1,6 @@
 // Every text that a person reads.
+const pages = (count: number): string => (count === 1 ? '1 page' : `${count} pages`);
+
 export const texts = {
   title: 'splatbus',
   picture: 'The live scene. Drag to orbit, W A S D to move, F to see all of it, M for the menu.',
@@ -84,7 +86,7 @@ export const texts = {
   rate: (value: number, most: number) => (most > 0 ? `${value.toFixed(2)} of ${most}` : value.toFixed(2)),
   ms: (value: number) => `${value.toFixed(value < 10 ? 1 : 0)} ms`,
   seconds: (value: number) => `${value.toFixed(1)} s`,
-  pages: (count: number) => (count === 0 ? 'nothing' : `${count} pages`),
+  pages: (count: number) => (count === 0 ? 'nothing' : pages(count)),
   unknown: '-',
   connecting: 'Connecting',
   connected: 'Connected',
@@ -109,7 +111,7 @@ export const texts = {
   tooLarge: (seconds: number) =>
     `This device has too little memory for the scene: choose fewer Gaussians in the menu.${seconds > 0 ? ` Trying again in ${Math.ceil(seconds)} s.` : ''}`,
   /** Negative: nobody knows yet how much. */
-  benchWaiting: (missing: number) => `To be measured when the scene is there${missing > 0 ? `: ${missing} pages have not come` : ''}.`,
+  benchWaiting: (missing: number) => `Measuring begins once the scene is there${missing > 0 ? `; missing: ${pages(missing)}` : ''}.`,
   benchRunning: (part: number) => `Measuring: ${Math.round(100 * part)} %`,
   benchDone: (fps: number, ms: number) => `${fps.toFixed(1)} frames/s, ${ms.toFixed(1)} ms in the middle.`,
   benchPosted: 'The figures were sent to the server.',

@@ -1,7 +1,7 @@
 // A headset, emulated: both eyes of one sort.
 import assert from 'node:assert/strict';
 import { test } from 'node:test';
-import { goal, kStart, opened, view } from './opened_page.mjs';
+import { drawsBy, goal, kStart, opened, says, view } from './opened_page.mjs';
 
 /** A headset that is none: two eyes beside one another in a texture, 64 mm apart, that looks where the test says. */
 function emulateXr() {
@@ -83,12 +83,6 @@ const putOn = async (page) => {
   await page.getByRole('button', { name: 'Headset' }).click();
 };
 const isOn = (page) => page.waitForFunction(() => window.splatbus.extras.immersion && window.xr.pixels);
-const drawsBy = (page, api) =>
-  page.waitForFunction((name) => {
-    const { stage } = window.splatbus;
-    return stage.renderer?.api === name && !stage.element.querySelector('canvas:not(.still)').hidden;
-  }, api);
-const says = (page, text) => page.waitForFunction((part) => document.querySelector('.notice').textContent.includes(part), text);
 
 test('a headset is given both eyes of one sort, and the page goes on when it is taken off', () =>
   opened(

@@ -77,6 +77,15 @@ export const settled = (page) =>
     return window.stills.atRest > 0 && window.stills.due === 0 && still.complete && still.naturalWidth > 300;
   });
 
+/** Waits until a picture of that interface is shown. */
+export const drawsBy = (page, api) =>
+  page.waitForFunction((name) => {
+    const { stage } = window.splatbus;
+    return stage.renderer?.api === name && !stage.element.querySelector('canvas:not(.still)').hidden;
+  }, api);
+/** Waits until that is said of what is wrong. */
+export const says = (page, text) => page.waitForFunction((part) => document.querySelector('.notice').textContent.includes(part), text);
+
 /** Of the page's 320 x 200 pixels, those that no words cover. */
 export const kMiddle = { x: 60, y: 60, width: 200, height: 100 };
 /** Colors of the picture, as the screen would show them. */

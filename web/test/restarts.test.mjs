@@ -46,7 +46,7 @@ function linked(lives, untilMs) {
   globalThis.Worker = class {
     constructor() {
       started.push(now);
-      lives({ worker: this, life: started.length - 1, later: (ms, data) => later(ms, () => this.ended || this.onmessage({ data })) });
+      lives({ life: started.length - 1, later: (ms, data) => later(ms, () => this.ended || this.onmessage({ data })) });
     }
     postMessage() {}
     terminate() {
@@ -103,11 +103,9 @@ test('so is one of a world beyond the budget, of which all was there that comes'
 });
 
 test('a worker that dies as soon as it is connected waits longer each time; one that has lived for a while is back at once', () => {
-  const { waits } = linked(({ worker, life, later }) => {
+  const { waits } = linked(({ life, later }) => {
     later(50, kOpen);
-    if (life < 12) later(100, { kind: 'failed', reason: 'RuntimeError: unreachable' });
-    else later(30_000, { kind: 'failed', reason: 'RuntimeError: unreachable' });
-    void worker;
+    later(life < 12 ? 100 : 30_000, { kind: 'failed', reason: 'RuntimeError: unreachable' });
   }, 200_000);
   assert.ok(waits[11].retryS > 5, `${waits[11].retryS} s`);
   assert.ok(waits[12].retryS < 0.35, `${waits[12].retryS} s`);
