@@ -1,8 +1,7 @@
 // A live pipeline under a turning sun, with two viewers, one of whom walks, which an operator swaps, scales, restarts
 // and changes by chance and by seed, while processes die: SPLATBUS_CHAOS_SECONDS (or --seconds) of it,
-// SPLATBUS_CHAOS_SEED (or
-// --seed). After each the picture is back; at the end the model is whole, and nothing is left that was not there at the
-// start. --only WORD leaves out the faults whose name has it not.
+// SPLATBUS_CHAOS_SEED (or --seed). After each the picture is back; at the end the model is whole, and nothing is left
+// that was not there at the start. --only WORD leaves out the faults whose name has it not.
 #include <gtest/gtest.h>
 #include <signal.h>
 
