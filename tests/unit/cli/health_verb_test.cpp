@@ -50,14 +50,17 @@ TEST_F(HealthVerb, OfAPortAndAPage) {
   EXPECT_EQ(run({"--tcp", place}), place + " answers\n");
   EXPECT_EQ(error_of({"--http", "http://" + place + "/", "--timeout", "0.3"}), "http://" + place + "/ is not well")
       << "a port that is open says nothing of what is behind it";
-  const std::jthread page([&] {
+  const std::jthread page([&](const std::stop_token& stop) {
+    const std::stop_callback ends(stop, [&] { ::shutdown(listener.get(), SHUT_RD); });
     for (;;) {
       const bus::FileDescriptor peer(::accept(listener.get(), nullptr, nullptr));
+      if (!peer.valid()) return;
       char request[512];
-      if (::recv(peer.get(), request, sizeof request, 0) <= 0) continue;  // those of before
+      const ssize_t got = ::recv(peer.get(), request, sizeof request, 0);
+      if (got <= 0) continue;  // those of before
       const std::string answer = "HTTP/1.1 200 OK\r\n\r\n";
       EXPECT_GT(::send(peer.get(), answer.data(), answer.size(), MSG_NOSIGNAL), 0);
-      if (std::string(request).find("GET /ready ") != std::string::npos) return;
+      if (std::string(request, static_cast<std::size_t>(got)).starts_with("GET /ready ")) return;
     }
   });
   EXPECT_EQ(run({"--http", "http://" + place + "/ready", "--timeout", "60"}), "http://" + place + "/ready answers\n");
