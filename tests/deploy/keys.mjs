@@ -122,10 +122,13 @@ export async function checkKeys(splatbus, pod, farPod, services) {
     assert.throws(() => execFileSync(check[0], check.slice(1), { stdio: "ignore" }), "not before they are there");
     const [shell, ...line] = services.machine.command.map(inFolder);
     const machine = spawn(shell, line, { stdio: "ignore" });
-    for (let attempt = 0; attempt < 100 && !existsSync(join(folder, "complete")); ++attempt) await wait(50);
-    execFileSync(check[0], check.slice(1));
-    assert.equal(machine.exitCode, null, "it stays");
-    machine.kill();
+    try {
+      for (let attempt = 0; attempt < 100 && !existsSync(join(folder, "complete")); ++attempt) await wait(50);
+      execFileSync(check[0], check.slice(1));
+      assert.equal(machine.exitCode, null, "it stays");
+    } finally {
+      machine.kill();
+    }
     assert.deepEqual(readdirSync(join(folder, "keys/bus")).sort(), ["allowed", "server_key"]);
     assert.deepEqual(readdirSync(join(folder, "keys/gateway")), ["tokens"]);
     for (const name of ["bus/allowed", "bus/server_key", "streamer/server_key", "gateway/tokens"]) {
