@@ -25,8 +25,11 @@ LatchStore::Put LatchStore::put(const std::string& topic, const std::string& key
 
   Put result{.held = true};
   const auto erase_one = [&](const Source& of) {
+    // Of who holds the most it may be the last, and that only.
+    const bool is_it = sources_.at(of).by_order.begin()->first == order;
     erase_oldest(of);
-    ++result.evicted;
+    if (is_it) result.held = false;
+    if (!is_it) ++result.evicted;
   };
   while (share.by_order.size() > max_messages_of_one_ || share.bytes > max_bytes_of_one_) erase_one({far, source});
   // Near ones come first among the sources.

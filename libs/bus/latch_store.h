@@ -29,7 +29,8 @@ class LatchStore {
   };
 
   struct Put {
-    bool held = false;        ///< false when the message alone is too large; what was held before is gone then too
+    /// False when the message alone is too large, or was what had to leave; what was held before is gone then too.
+    bool held = false;
     std::size_t evicted = 0;  ///< other messages that had to leave
   };
   /// `order` grows from call to call.

@@ -19,21 +19,23 @@ struct BrokerOptions {
   std::size_t max_held_messages = 8192;                 ///< latched messages kept, of all topics
   std::size_t max_held_bytes = std::size_t{256} << 20;  ///< of them; one source holds half of both at most
   bus::ServerKeyFiles keys;                             ///< for tcp that others than this machine reach
-  /// What peers over tcp may take in all: the largest message, unfinished ones, and copies for readers that are not
-  /// sent yet.
+  /// What peers over tcp may take in all: the largest message, unfinished ones, and what is not sent to readers yet. As
+  /// much may wait for readers of this machine, to whom others' bulk data goes with the message.
   std::size_t max_remote_bytes = std::size_t{256} << 20;
   std::chrono::milliseconds slab_grace{10000};  ///< how long slabs of a source that has gone wait for it
 };
 
 /// Counters since start().
 struct BrokerStatistics {
-  std::uint64_t relayed = 0;         ///< messages
-  std::uint64_t malformed = 0;       ///< did not verify, and went no further
-  std::uint64_t inlined = 0;         ///< sent to tcp readers with the slabs' bytes
-  std::uint64_t inline_dropped = 0;  ///< not sent to tcp readers: the slab was gone, its slot overwritten, or no room
-  std::uint64_t unheld = 0;          ///< latched, and too large to be held
-  std::uint64_t held = 0;            ///< latched messages now
-  std::uint64_t slabs = 0;           ///< registered now
+  std::uint64_t relayed = 0;    ///< messages
+  std::uint64_t malformed = 0;  ///< did not verify, and went no further
+  std::uint64_t inlined = 0;    ///< sent to tcp readers with the slabs' bytes
+  /// Not sent to tcp readers, since the slab was gone or its slot overwritten; or to those of one side, for want of
+  /// room.
+  std::uint64_t inline_dropped = 0;
+  std::uint64_t unheld = 0;  ///< latched, and too large to be held
+  std::uint64_t held = 0;    ///< latched messages now
+  std::uint64_t slabs = 0;   ///< registered now
 };
 
 /// The bus process: relays messages from its XSUB to its XPUB, keeps the last value of latched topics, registers slabs,

@@ -11,6 +11,7 @@
 #include "bus/error.h"
 #include "bus/frames.h"
 #include "bus/heartbeat_check.h"
+#include "bus/relay_messages.h"
 #include "wire/topics.h"
 
 namespace splatbus::bus_service {
@@ -23,15 +24,6 @@ constexpr int subscriptions_a_turn = 256;
 constexpr double share_of_a_source = 0.5;  // of what is held
 constexpr std::int64_t remote_stamp = -1;  // of what came over tcp, whose clock is another
 constexpr std::int64_t due_check_ms = 20;
-constexpr std::size_t max_missed = 8192;  // as many as are held
-
-std::string latch_key_of(const wire::Header& header) {
-  return header.latch_key() == nullptr ? std::string() : header.latch_key()->str();
-}
-
-const wire::Header& header_of(const bus::Frames& frames) {
-  return *flatbuffers::GetRoot<wire::Envelope>(frames.body.data())->header();
-}
 
 }  // namespace
 
@@ -67,7 +59,7 @@ BrokerStatistics Relay::statistics() const {
   result.relayed = relayed_;
   result.malformed = malformed_;
   result.inlined = inlined_;
-  result.inline_dropped = overwritten_ + left_out_ + left_out_here_;
+  result.inline_dropped = overwritten_ + left_out_;
   result.unheld = unheld_;
   result.held = held_count_;
   result.slabs = count_slabs_();
@@ -95,7 +87,6 @@ void Relay::run(const std::stop_token& stop) {
     }
     resend_due();
     send_inlined();
-    left_out_ = remote_readers_.left_out();
     tick();
   }
   relay_own(own_.heartbeat(statistics(), wire::ServiceState::Stopping));
@@ -199,49 +190,6 @@ bool Relay::hold(const bus::Frames& frames, const wire::Header& header, bool loc
   return true;
 }
 
-void Relay::send(Side& side, const bus::Frames& frames, const wire::Header& header) {
-  if (side.local) return send_here(frames, header);
-  if (!subscriptions_.wants(frames.topic_text())) return;
-  if (auto ready = remote_readers_.offer(frames, header)) bus::send_frames(side.xpub, std::move(*ready));
-}
-
-// What comes over tcp has its bulk data in it, and a reader that is stopped lets thousands of messages wait.
-void Relay::send_here(const bus::Frames& frames, const wire::Header& header) {
-  if (unsent_here_.has_room(frames.bytes())) return bus::send_frames(local_.xpub, unsent_here_.share(frames));
-  ++left_out_here_;
-  left_out_here_lately_ = true;
-  if (header.latch() && missed_here_.size() < max_missed) {
-    missed_here_.emplace(frames.topic.to_string(), latch_key_of(header));
-  }
-}
-
-// What is held is said once: who missed it would wait for the next one, which may never come.
-void Relay::resend_missed() {
-  for (auto at = missed_here_.begin(); at != missed_here_.end();) {
-    const auto* held = held_.find(at->first, at->second);
-    if (held != nullptr && !unsent_here_.has_room(held->frames.bytes())) {
-      left_out_here_lately_ = true;
-      ++at;
-      continue;
-    }
-    if (held != nullptr) bus::send_frames(local_.xpub, unsent_here_.share(held->frames));
-    at = missed_here_.erase(at);
-  }
-}
-
-void Relay::make_room(std::int64_t now) {
-  for (const auto& topic : remote_readers_.take_unserved()) {
-    if (readers_guard_) readers_guard_->make_room(subscriptions_.readers_of(topic));
-  }
-  local_readers_.look(now);
-  if (!std::exchange(left_out_here_lately_, false)) return;
-  const auto stuck = local_readers_.close_stuck(now);
-  if (!stuck.empty() && limiter_.allow()) {
-    spdlog::warn("closed the connections of {} readers, which took nothing while others waited; process {} was one",
-                 stuck.size(), stuck.front());
-  }
-}
-
 void Relay::send_inlined() {
   for (auto& done : remote_readers_.take()) {
     if (!done.error.empty()) {
@@ -300,7 +248,8 @@ void Relay::tick() {
   if (now < next_beat_ns_) return;
   next_beat_ns_ = now + beat_ns;
   relay_own(own_.heartbeat(statistics(), wire::ServiceState::Running));
-  resend_missed();
+  resend_missed(local_);
+  resend_missed(remote_);
   make_room(now);
   sources_.forget_some();
   for (const auto& source : liveness_.update(now)) held_.erase(std::string(topics::kHeartbeat.name), source);

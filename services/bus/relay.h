@@ -47,6 +47,7 @@ class Relay {
     bool local;
     zmq::socket_t xsub;
     zmq::socket_t xpub;
+    std::set<std::pair<std::string, std::string>> missed{};  ///< topics and keys of what is held and was left out
   };
   // relay_sockets.cpp
   void set_up_sockets(const BrokerOptions& options);
@@ -61,17 +62,20 @@ class Relay {
   void relay_own(const bus::Frames& frames);
   bool hold(const bus::Frames& frames, const wire::Header& header, bool local);
   bool is_stale(const wire::Header& header, const bus::LatchStore::Held& held, bool local) const;
-  void send(Side& side, const bus::Frames& frames, const wire::Header& header);
-  void send_here(const bus::Frames& frames, const wire::Header& header);
-  void resend_missed();
   void send_inlined();
   void read_subscriptions(Side& side);
   std::set<std::string> readers_of(const std::string& topic) const;
   void resend_held(Side& side, const std::string& prefix);
   void resend_due();
-  void make_room(std::int64_t now);
   void tick();
   void refuse(const bus::Frames& frames, const std::string& why);
+
+  // relay_room.cpp
+  void send(Side& side, const bus::Frames& frames, const wire::Header& header);
+  /// False: there is no room for it.
+  bool send_now(Side& side, const bus::Frames& frames, const wire::Header& header);
+  void resend_missed(Side& side);
+  void make_room(std::int64_t now);
 
   const std::function<std::size_t()> count_slabs_;
   zmq::context_t zmq_;
@@ -85,8 +89,7 @@ class Relay {
   std::uint64_t next_order_ = 1;
   LocalReaders local_readers_;
   UnsentBytes unsent_here_;
-  bool left_out_here_lately_ = false;
-  std::set<std::pair<std::string, std::string>> missed_here_;  ///< topics and keys of what is held and was left out
+  bool full_here_lately_ = false;
   RemoteSubscriptions subscriptions_;
   RemoteReaders remote_readers_;
   Sources sources_;
@@ -99,7 +102,7 @@ class Relay {
   std::atomic<std::uint64_t> relayed_ = 0;
   std::atomic<std::uint64_t> malformed_ = 0;
   std::atomic<std::uint64_t> inlined_ = 0;
-  std::atomic<std::uint64_t> overwritten_ = 0, left_out_ = 0, left_out_here_ = 0;
+  std::atomic<std::uint64_t> overwritten_ = 0, left_out_ = 0;
   std::atomic<std::uint64_t> unheld_ = 0;
   std::atomic<std::uint64_t> held_count_ = 0;
   bus::FileDescriptor wake_;

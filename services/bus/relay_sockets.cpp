@@ -14,8 +14,7 @@ namespace {
 
 constexpr int port_attempts = 50;
 constexpr int handshake_ms = 5000;
-constexpr int backlog = 1024;       // a crowd at the door keeps nobody waiting
-constexpr int ipc_filter_uid = 59;  // libzmq's ZMQ_IPC_FILTER_UID, which its header does not always name
+constexpr int backlog = 1024;  // a crowd at the door keeps nobody waiting
 constexpr std::size_t max_first_bytes = std::size_t{32} << 20;
 constexpr std::size_t max_all_first_bytes = std::size_t{48} << 20;
 constexpr std::int64_t max_subscription_bytes = 1024;
@@ -42,7 +41,7 @@ void Relay::set_up_sockets(const BrokerOptions& options) {
     for (zmq::socket_t* socket : {&side->xsub, &side->xpub}) {
       socket->set(zmq::sockopt::handshake_ivl, handshake_ms);
       socket->set(zmq::sockopt::backlog, backlog);
-      if (side->local) zmq_setsockopt(socket->handle(), ipc_filter_uid, &user, sizeof(user));
+      if (side->local) zmq_setsockopt(socket->handle(), bus::kIpcFilterUid, &user, sizeof(user));
     }
   }
   try {

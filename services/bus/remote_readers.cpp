@@ -50,7 +50,7 @@ RemoteReaders::Prefixes RemoteReaders::take_due(std::int64_t now_ns) {
   return std::exchange(due_, {});
 }
 
-std::optional<bus::Frames> RemoteReaders::offer(const bus::Frames& frames, const wire::Header& header) {
+RemoteReaders::Offered RemoteReaders::offer(const bus::Frames& frames, const wire::Header& header) {
   const std::size_t bytes = slab_bytes(header);
   const auto topic = frames.topic_text();
   const std::scoped_lock lock(mutex_);
@@ -59,12 +59,11 @@ std::optional<bus::Frames> RemoteReaders::offer(const bus::Frames& frames, const
   const bool busy = waits && jobs_.size() + done_.size() >= max_jobs;
   const bool full = !unsent_.has_room(frames.bytes() + bytes, job_bytes_);
   if (busy || full) {
-    ++left_out_;
     // That copies take long is no reader's doing.
     if (full && unserved_.size() < max_unserved) unserved_.emplace(topic);
-    return std::nullopt;
+    return {.left_out = true};
   }
-  if (!waits) return unsent_.share(frames);
+  if (!waits) return {.now = unsent_.share(frames)};
   jobs_.push_back({unsent_.share(frames), bytes});
   job_bytes_ += bytes;
   if (waiting == topics_.end()) {
@@ -73,7 +72,7 @@ std::optional<bus::Frames> RemoteReaders::offer(const bus::Frames& frames, const
     ++waiting->second;
   }
   given_.notify_one();
-  return std::nullopt;
+  return {};
 }
 
 std::vector<RemoteReaders::Done> RemoteReaders::take() {

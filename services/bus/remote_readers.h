@@ -39,8 +39,12 @@ class RemoteReaders {
   [[nodiscard]] Prefixes take_due(std::int64_t now_ns);
   [[nodiscard]] bool has_due() const { return !due_.empty(); }
 
-  /// The message as it is to be sent now. Nullopt: it comes back by take(), or is left out and counted.
-  [[nodiscard]] std::optional<bus::Frames> offer(const bus::Frames& frames, const wire::Header& header);
+  /// What becomes of a message.
+  struct Offered {
+    std::optional<bus::Frames> now{};  ///< as it is to be sent at once
+    bool left_out = false;             ///< there is no room; where both are not, it comes back by take()
+  };
+  [[nodiscard]] Offered offer(const bus::Frames& frames, const wire::Header& header);
 
   struct Done {
     bus::Frames frames;
@@ -52,7 +56,6 @@ class RemoteReaders {
   [[nodiscard]] std::vector<Done> take();
   [[nodiscard]] int ready_fd() const { return ready_.get(); }
 
-  [[nodiscard]] std::uint64_t left_out() const { return left_out_; }
   /// Topics of what was left out since the last time because readers had too much unread, some of them.
   [[nodiscard]] std::set<std::string> take_unserved() { return std::exchange(unserved_, {}); }
 
@@ -68,7 +71,6 @@ class RemoteReaders {
   const UnsentBytes unsent_;
   Prefixes due_;
   bus::TokenBucket resends_;
-  std::uint64_t left_out_ = 0;
   std::set<std::string> unserved_;
 
   std::mutex mutex_;  // of all below

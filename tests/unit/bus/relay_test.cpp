@@ -1,6 +1,9 @@
 // What the broker holds, and for whom it inlines, seen by publishers that say what they like about themselves.
 #include <gtest/gtest.h>
 
+#include <functional>
+#include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -108,35 +111,47 @@ TEST_F(Relay, AMessageWhoseFieldsOverlapIsNotHeld) {
   EXPECT_GT(broker_->statistics().malformed, 0u);
 }
 
-/// Where two messages of 700 kB have no room at once.
+/// Where two messages of `kLarge` have no room at once, which is more than a kernel takes of one.
 class SmallRelay : public BusTest {
  protected:
+  static constexpr std::size_t kLarge = std::size_t{24} << 20;
+
   SmallRelay() {
     broker_.reset();
-    auto bounded = options(false);
-    bounded.max_remote_bytes = 1 << 20;
+    auto bounded = options();
+    bounded.max_remote_bytes = kLarge + kLarge / 2;
     broker_ = std::make_unique<bus_service::Broker>(bounded);
     broker_->start();
+    raw_.emplace(directory_.address().publish_endpoint());
+    raw_->send({"grid/state", probe_body(1, 7, {}, "ViewerProbe/1", true, "key"), std::string(kLarge, 'x')});
   }
+
+  /// Comes while another reader has not taken it yet, and gets it when that has.
+  void expect_to_come_late(const std::string& endpoint, const std::function<std::shared_ptr<bus::Context>()>& connect) {
+    hostile::RawZmtp slow(endpoint);
+    ASSERT_TRUE(slow.handshake("SUB"));
+    ASSERT_TRUE(slow.send_frame("\x01grid/state", false));
+    ASSERT_FALSE(slow.read_some(1, patience).empty());
+    const std::uint64_t dropped = broker_->statistics().inline_dropped;
+    bus::Subscriber late(connect(), {"grid/state"});
+    ASSERT_TRUE(eventually([&] { return broker_->statistics().inline_dropped > dropped; }));
+    for (std::size_t taken = 0; taken < kLarge;) {
+      const std::string some = slow.read_some(1 << 20, patience);
+      ASSERT_FALSE(some.empty());
+      taken += some.size();
+    }
+    EXPECT_EQ(receive_number(late), 7u);
+  }
+
+  std::optional<RawPublisher> raw_;
 };
 
 TEST_F(SmallRelay, WhatIsHeldComesToWhoCameWhileThereWasNoRoomForIt) {
-  RawPublisher raw(directory_.address().publish_endpoint());
-  const std::string payload(700'000, 'x');
-  raw.send({"grid/state", probe_body(1, 7, {}, "ViewerProbe/1", true, "key"), payload});
-  hostile::RawZmtp slow(directory_.address().subscribe_endpoint());
-  ASSERT_TRUE(slow.handshake("SUB"));
-  ASSERT_TRUE(slow.send_frame("\x01grid/state", false));
-  ASSERT_FALSE(slow.read_some(1, patience).empty());
-  const std::uint64_t dropped = broker_->statistics().inline_dropped;
-  bus::Subscriber late(connect("late"), {"grid/state"});
-  ASSERT_TRUE(eventually([&] { return broker_->statistics().inline_dropped > dropped; }));
-  for (std::size_t taken = 0; taken < payload.size();) {
-    const std::string some = slow.read_some(1 << 16, patience);
-    ASSERT_FALSE(some.empty());
-    taken += some.size();
-  }
-  EXPECT_EQ(receive_number(late), 7u);
+  expect_to_come_late(directory_.address().subscribe_endpoint(), [&] { return connect("late"); });
+}
+
+TEST_F(SmallRelay, SoItDoesToWhoCameOverTcp) {
+  expect_to_come_late(broker_->tcp_address()->subscribe_endpoint(), [&] { return connect_tcp("late"); });
 }
 
 TEST_F(Relay, AReaderThatHasLeftIsInlinedForNoMore) {
@@ -241,6 +256,16 @@ TEST(LatchStore, ThoseThatAreFarDriveNobodyOutWhoIsNear) {
   EXPECT_EQ(store.size(), 100U);
   for (int i = 0; i < 50; ++i) EXPECT_NE(store.find("scene/" + std::to_string(i), ""), nullptr) << i;
   for (int i = 0; i < 40; ++i) EXPECT_NE(store.find("model/" + std::to_string(i), ""), nullptr) << i;
+}
+
+TEST(LatchStore, SaysWhenTheMessageItselfHasToLeave) {
+  bus::LatchStore store(100, 100, 0.5);
+  EXPECT_TRUE(store.put("a", "", "a", 1, frames_of(30), 0, true).held);
+  const auto put = store.put("b", "", "b", 2, frames_of(40), 0, true);
+  EXPECT_FALSE(put.held) << "its source is the one that holds the most";
+  EXPECT_EQ(put.evicted, 0U);
+  EXPECT_EQ(store.find("b", ""), nullptr);
+  EXPECT_NE(store.find("a", ""), nullptr);
 }
 
 TEST(LatchStore, MatchesAPrefixOldestFirst) {
