@@ -135,11 +135,8 @@ bool PublishedModel::read_pages(const bus::Message& message, std::size_t arenas)
     // A slab has all of its arena, however many pages of it were in use when it was told of.
     const bool there = arena < arenas && (tensors_[1 + arena].slab() != nullptr ||
                                           page % model::kArenaPages < tensors_[1 + arena].dim(0));
-    if (!there) {
-      // In shared memory the model may have grown since: a later message has the arena.
-      if (table_copy_ == nullptr) return false;
-      reject(message, fmt::format("page {} is in none of its arenas", page));
-    }
+    // The model may have grown since, as long as a copy over tcp took to be made: a later message has the page.
+    if (!there) return false;
     ranges_.push_back({static_cast<std::uint32_t>(page) << kPageShift, now.count, now.frame_id,
                        now.state == model::PageState::Frozen ? 1U : 0U});
     bounds_.push_back(bounds);

@@ -134,6 +134,28 @@ TEST_P(PublishedModelTest, OverTcpThePagesInUseAreSentAndNotAllThatThereIsMemory
   expect_truth(*model);
 }
 
+// The broker copies later than the trainer told.
+TEST_P(PublishedModelTest, OverTcpAPageThatHasComeSinceItWasToldIsReadLater) {
+  if (std::get<0>(GetParam()) == Device::Cuda) GTEST_SKIP() << "the broker copies from host memory";
+  bus::Subscriber far(connect_tcp("far"), {"model/published"});
+  ASSERT_TRUE(far.wait_connected(bus_test::patience));
+  ASSERT_TRUE(maker_->wait_connected(bus_test::patience));
+  add(3000);
+  PageEntry& next = store_->table().entry((store_->view().ranges.back().first >> kPageShift) + 1);
+  next.now = {.state = PageState::Active, .count = 5};
+  store_->publish(publisher_);
+  auto message = far.receive(bus_test::patience);
+  ASSERT_TRUE(message);
+  EXPECT_FALSE(PublishedModel::open(*message, wanted()));
+  next.now = {};
+  store_->publish(publisher_);
+  message = far.receive(bus_test::patience);
+  ASSERT_TRUE(message);
+  const auto model = PublishedModel::open(*message, wanted());
+  ASSERT_TRUE(model);
+  expect_truth(*model);
+}
+
 TEST_P(PublishedModelTest, FrozenPagesAreReadAsOthers) {
   add(3000);
   const std::uint32_t page = store_->view().ranges.front().first >> kPageShift;
