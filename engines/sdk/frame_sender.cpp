@@ -58,9 +58,9 @@ void FrameSender::drop_oldest_beyond_half(const FrameRing& ring) {
   ++dropped_;
 }
 
-void FrameSender::give_back(const FrameRing& ring) {
+void FrameSender::give_back(std::shared_ptr<FrameRing> ring) {
   const std::scoped_lock lock(mutex_);
-  given_back_.push_back(ring.role);
+  given_back_.push_back(std::move(ring));
   more_.notify_one();
 }
 
@@ -102,9 +102,10 @@ void FrameSender::run(const std::stop_token& stop) {
       if (now > *end) return;
     }
     // First of all: another ring may have that role by now, and is registered after this.
-    if (const auto roles = std::exchange(given_back_, {}); !roles.empty()) {
+    if (auto rings = std::exchange(given_back_, {}); !rings.empty()) {
       lock.unlock();
-      for (const std::string& role : roles) context_->drop_slab(role);
+      for (const auto& ring : rings) context_->drop_slab(ring->role);
+      rings.clear();
       lock.lock();
       continue;
     }

@@ -29,8 +29,8 @@ class FrameSender {
   /// One without a ring waits for those before it, and then the newest of its kind is enough.
   void send(const splatbus_frame& frame, WrittenFrame written, std::int64_t capture_ns);
 
-  /// The bus forgets a ring that nothing will be sent of any more.
-  void give_back(const FrameRing& ring);
+  /// The bus forgets a ring that nothing will be sent of any more, and its memory goes, which takes its time.
+  void give_back(std::shared_ptr<FrameRing> ring);
 
   /// Why the bus will not have this ring, or an empty string.
   [[nodiscard]] std::string refusal(const FrameRing& ring) const;
@@ -59,7 +59,7 @@ class FrameSender {
   mutable std::mutex mutex_;
   std::condition_variable_any more_;
   std::deque<Waiting> waiting_;
-  std::vector<std::string> given_back_;  ///< roles
+  std::vector<std::shared_ptr<FrameRing>> given_back_;
   std::uint64_t dropped_ = 0;
   std::jthread thread_;
 };

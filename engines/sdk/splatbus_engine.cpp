@@ -64,7 +64,7 @@ struct splatbus_engine {
   }
 
   void give_back_unused_rings() {
-    for (const auto& ring : rings.take_unused(bus::now_ns())) sender.give_back(*ring);
+    for (auto& ring : rings.take_unused(bus::now_ns())) sender.give_back(std::move(ring));
   }
 
   std::shared_ptr<bus::Context> context;

@@ -129,8 +129,8 @@ class FrameRingsTest : public BusTest {
     EXPECT_TRUE(message->tensor("color").has_value());
   }
   std::size_t give_back(std::int64_t now_ns) {
-    const auto unused = rings_.take_unused(now_ns);
-    for (const auto& ring : unused) sender_.give_back(*ring);
+    auto unused = rings_.take_unused(now_ns);
+    for (auto& ring : unused) sender_.give_back(std::move(ring));
     return unused.size();
   }
 
