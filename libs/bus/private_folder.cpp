@@ -47,9 +47,13 @@ void require_own_endpoint(const std::string& endpoint, EndpointUse use) {
   if (::mkdir(folder.c_str(), 0700) != 0 && errno != EEXIST) {
     refuse(fmt::format("cannot make its folder: {}", std::strerror(errno)));
   }
-  struct stat status {};
-  if (::stat(folder.c_str(), &status) != 0 || !S_ISDIR(status.st_mode)) refuse("it is in no folder");
   const ::uid_t user = ::geteuid();
+  struct stat status {};
+  const bool is_link = ::lstat(folder.c_str(), &status) == 0 && S_ISLNK(status.st_mode);
+  if (is_link && status.st_uid != user && status.st_uid != 0) {
+    refuse(fmt::format("its folder is a link of another user ({}), who may point it elsewhere", status.st_uid));
+  }
+  if (::stat(folder.c_str(), &status) != 0 || !S_ISDIR(status.st_mode)) refuse("it is in no folder");
   const bool is_sticky = (status.st_mode & S_ISVTX) != 0 && (status.st_uid == 0 || status.st_uid == user);
   if (!is_sticky) {
     if (status.st_uid != user) refuse(fmt::format("its folder belongs to another user ({})", status.st_uid));

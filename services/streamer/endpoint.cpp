@@ -14,6 +14,7 @@
 #include "bus/bind.h"
 #include "bus/error.h"
 #include "bus/private_folder.h"
+#include "bus/schemes.h"
 #include "stream/bytes.h"
 #include "stream/relay_client.h"
 #include "streamer/peer_address.h"
@@ -22,7 +23,6 @@ namespace splatbus::streamer {
 
 namespace {
 
-constexpr std::string_view kIpc = "ipc://";
 constexpr int kMessagesACall = 256;   // that are none, before others get their turn
 constexpr std::size_t kMaxParts = 4;  // a relay's frames of rights and client, packet, payload
 constexpr int kHeartbeatMs = 1000;
@@ -92,8 +92,8 @@ Endpoint::Endpoint(const std::vector<std::string>& endpoints, const EndpointOpti
 }
 
 std::string Endpoint::bind(const std::string& endpoint) {
-  if (endpoint.starts_with(kIpc)) {
-    const std::string path = endpoint.substr(kIpc.size());
+  if (endpoint.starts_with(bus::ipc_scheme)) {
+    const std::string path = endpoint.substr(bus::ipc_scheme.size());
     bus::require_own_endpoint(endpoint, bus::EndpointUse::Bind);
     const ::uid_t user = ::geteuid();
     zmq_setsockopt(socket_.handle(), bus::kIpcFilterUid, &user, sizeof(user));

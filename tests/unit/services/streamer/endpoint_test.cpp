@@ -139,6 +139,11 @@ TEST_F(EndpointTest, LiesWhereNobodyElseCouldHavePutIt) {
   EXPECT_THAT(refusal("ipc://" + open + "/s"), testing::HasSubstr("others may write to its folder"));
   ASSERT_EQ(::chown(others.c_str(), 65534, 65534), 0);
   EXPECT_THAT(refusal("ipc://" + others + "/s"), testing::HasSubstr("another user"));
+  const std::string link = directory_.path() + "/link";
+  ASSERT_EQ(::symlink((directory_.path() + "/made").c_str(), link.c_str()), 0);
+  EXPECT_EQ(refusal("ipc://" + link + "/s"), "") << "this user's own link";
+  ASSERT_EQ(::lchown(link.c_str(), 65534, 65534), 0);
+  EXPECT_THAT(refusal("ipc://" + link + "/s"), testing::HasSubstr("a link of another user"));
 }
 
 // As /tmp is.
