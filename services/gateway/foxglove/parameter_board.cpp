@@ -31,9 +31,10 @@ NamedParameters ParameterBoard::update(const std::string& source, const NamedPar
   NamedParameters changed;
   std::set<std::string> named;
   for (const auto& [key, value, type] : parameters) {
-    if (named.size() >= kMaxOfSource || parameters_.size() >= kMaxServices * kMaxOfSource) break;
-    named.insert(key);
+    if (named.size() >= kMaxOfSource) break;
     const std::string name = fmt::format("{}/{}", source, key);
+    if (parameters_.size() >= kMaxServices * kMaxOfSource && !parameters_.contains(name)) continue;
+    named.insert(key);
     Parameter& known = parameters_[name];
     if (known.source == source && known.value == value && known.type == type) continue;
     known = {source, key, value.value_or(""), type};

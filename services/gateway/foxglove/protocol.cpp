@@ -2,7 +2,6 @@
 
 #include <openssl/evp.h>
 
-#include <charconv>
 #include <cmath>
 #include <limits>
 #include <nlohmann/json.hpp>
@@ -96,25 +95,15 @@ std::optional<std::string> value_for_bus(const Json& value) {
   return value.dump();
 }
 
-Json guessed_value(const std::string& text) {
-  if (text == "true") return true;
-  if (text == "false") return false;
-  const char* const end = text.data() + text.size();
-  std::int64_t whole = 0;
-  if (const auto read = std::from_chars(text.data(), end, whole); read.ec == std::errc() && read.ptr == end) {
-    return whole;
-  }
-  double number = 0;
-  if (const auto read = std::from_chars(text.data(), end, number);
-      read.ec == std::errc() && read.ptr == end && std::isfinite(number)) {
-    return number;
-  }
-  return text;
-}
-
 Json value_for_client(const std::string& text, wire::ValueType type) {
-  if (type == wire::ValueType::Unsaid) return guessed_value(text);
-  return std::visit([](const auto& value) { return Json(value); }, bus::typed_value(text, type));
+  using wire::ValueType;
+  bus::ParameterValue value = bus::typed_value(text, type);
+  if (type == ValueType::Unsaid) {
+    for (const ValueType guess : {ValueType::Boolean, ValueType::Integer, ValueType::Number}) {
+      if (std::holds_alternative<std::string>(value)) value = bus::typed_value(text, guess);
+    }
+  }
+  return std::visit([](const auto& typed) { return Json(typed); }, value);
 }
 
 void read_fields(const Json& json, const std::string& name, ClientMessage& message, Reader& read) {

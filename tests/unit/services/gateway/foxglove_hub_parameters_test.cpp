@@ -198,5 +198,17 @@ TEST_F(HubParameters, WhatAServiceNoLongerHasIsTakenOff) {
   EXPECT_THAT(read(client_)[0]["parameters"], IsEmpty());
 }
 
+TEST(ParameterBoard, WhenItIsFullItKeepsWhatItHas) {
+  ParameterBoard board;
+  NamedParameters many;
+  for (int k = 0; k < 256; ++k) many.push_back({std::to_string(k), "1"});
+  const auto source = [](int k) { return "service-" + std::to_string(k); };
+  for (int k = 0; k < 64; ++k) EXPECT_EQ(board.update(source(k), many, 0).size(), 256U);
+  EXPECT_THAT(board.update("one too many", many, 0), IsEmpty());
+  for (int k = 0; k < 64; ++k) EXPECT_THAT(board.update(source(k), many, 0), IsEmpty());
+  many.front().value = "2";
+  EXPECT_EQ(board.update(source(0), many, 0).size(), 1U);
+}
+
 }  // namespace
 }  // namespace splatbus::gateway::foxglove
