@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <list>
@@ -18,6 +19,11 @@ namespace splatbus::streamer {
 /// In bounded memory. One thread.
 class PeerBook {
  public:
+  /// `of_address`: how many viewers one address may have. All of them come back at once when their streamer has been
+  /// restarted.
+  explicit PeerBook(std::size_t of_address = kUsual)
+      : address_hellos_(crowd(of_address) * kHellos_s, crowd(of_address) * kHellosAtOnce) {}
+
   static constexpr std::size_t kMaxLeavers = 256;
   static constexpr std::ptrdiff_t kForgiven = 4;
   static constexpr std::int64_t kRememberNs = 10'000'000'000;
@@ -54,7 +60,13 @@ class PeerBook {
     Leaver leaver;
   };
 
-  BoundedBuckets words_{5, 10}, hellos_{1, 5}, address_hellos_{4, 40};
+  static constexpr std::size_t kUsual = 56;  ///< viewers of one address
+  static constexpr double kHellos_s = 4, kHellosAtOnce = 40;
+  [[nodiscard]] static double crowd(std::size_t of_address) {
+    return std::max(1.0, static_cast<double>(of_address) / kUsual);
+  }
+
+  BoundedBuckets words_{5, 10}, hellos_{1, 5}, address_hellos_;
   bus::TokenBucket all_words_{200, 200}, all_hellos_{100, 200};
   std::list<Entry> leavers_;  ///< who left first is in front
 };

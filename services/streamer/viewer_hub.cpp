@@ -25,7 +25,8 @@ ViewerHub::ViewerHub(Endpoint& endpoint, stream::StreamModel& model, stream::Pac
       writer_(std::move(writer)),
       options_(options),
       events_(std::move(events)),
-      board_(model, options.history_bytes) {}
+      board_(model, options.history_bytes),
+      book_(options.max_viewers_per_address) {}
 
 void ViewerHub::say(const std::string& text) {
   if (log_limiter_.allow()) spdlog::info("{}", text);

@@ -21,6 +21,8 @@ constexpr double kShortQueue_s = 0.1, kQueue_s = 0.2;  // beyond the empty way
 constexpr std::int64_t kQueueNs = 200'000'000;
 constexpr double kGrow = 1.25, kShrink = 0.8;
 constexpr double kMostOfRate = 1.25;  // that the link is remembered to take
+// Of a second at the rate: a Keepalive, of which each has one. What is larger than a second would wait for ever.
+constexpr double kBeside = 0.02;
 
 }  // namespace
 
@@ -81,7 +83,7 @@ double ViewerRate::available(std::int64_t now_ns) {
 
 bool ViewerRate::second_has_room(double bytes, double share, std::int64_t now_ns) {
   const double there = second_.amount(now_ns);
-  return there == 0 || there + bytes / most_ <= share;
+  return there <= kBeside || there + bytes / most_ <= share;
 }
 
 bool ViewerRate::has_room(double bytes, std::int64_t now_ns) {

@@ -11,10 +11,10 @@
 
 namespace splatbus::streamer {
 
-/// When and how fast one viewer is sent bytes: no second has more than 1.1 times the rate, but where one packet alone
-/// is larger than that and goes by itself; and no more is on the way
-/// than its link delivers until the viewer can have said so. Queues on the way stay short whatever the link does, and
-/// what is not sent yet can still be replaced by something newer.
+/// When and how fast one viewer is sent bytes: no second has more than 1.1 times the rate, unless one packet alone is
+/// larger than that and goes with no more than a Keepalive; and no more is on the way than its link delivers until the
+/// viewer can have said so. Queues on the way stay short whatever the link does, and what is not sent yet can still be
+/// replaced by something newer.
 ///
 /// What the link takes is found as BBR does (Cardwell et al. 2016): the largest rate at which packets that were sent
 /// without a pause were acknowledged lately, while the least time from packet to acknowledgement says how long an empty

@@ -73,6 +73,13 @@ TEST(PeerBook, OneAddressLeavesOthersTheirHellos) {
   EXPECT_TRUE(book.admits("good", "192.0.2.2", kSecond));
 }
 
+TEST(PeerBook, AnAddressThatMayHaveMoreViewersMayGreetMore) {
+  PeerBook book(2 * 56);
+  int admitted = 0;
+  for (int k = 0; k < 1000; ++k) admitted += book.admits(std::to_string(k), "192.0.2.1", kSecond) ? 1 : 0;
+  EXPECT_EQ(admitted, 2 * 40);
+}
+
 TEST(PeerBook, WhoLeavesAndComesBackHasHadWhatItHad) {
   PeerBook book;
   const auto leaver = [](std::int64_t posed_ns) {

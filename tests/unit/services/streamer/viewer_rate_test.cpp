@@ -134,6 +134,15 @@ TEST(ViewerRate, NoSecondHasMoreThanATenthAboveALowRate) {
   }
 }
 
+TEST(ViewerRate, WhatIsLargerThanASecondDoesNotWaitForKeepalivesToEnd) {
+  ViewerRate rate;
+  rate.set(100, 0, kSecond);
+  rate.take(1, 160, kSecond);
+  EXPECT_TRUE(rate.second_has_room(40'000, 1.1, 2 * kSecond - 1));
+  rate.take(2, 40'000, 2 * kSecond);
+  EXPECT_FALSE(rate.second_has_room(1000, 1.1, 3 * kSecond - 1));
+}
+
 TEST(ViewerRate, LessThanTheLeastRateIsTakenForThat) {
   ViewerRate rate;
   rate.set(1, 0, kSecond);
