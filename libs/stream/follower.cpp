@@ -22,6 +22,19 @@ bool is_due(const std::optional<std::int64_t>& last_ns, std::int64_t every_ns, s
   return !last_ns || now_ns - *last_ns >= every_ns;
 }
 
+/// A wall of screens is told as the same view in fewer pixels: a streamer takes no more.
+wire::Camera told(Camera camera) {
+  const std::uint32_t longest = std::max(camera.width, camera.height);
+  if (longest > kMaxPictureSide) {
+    const float scale = static_cast<float>(kMaxPictureSide) / static_cast<float>(longest);
+    for (std::uint32_t* side : {&camera.width, &camera.height}) {
+      *side = std::clamp(static_cast<std::uint32_t>(scale * static_cast<float>(*side)), 1U, kMaxPictureSide);
+    }
+    for (float* pixels : {&camera.fx, &camera.fy, &camera.cx, &camera.cy}) *pixels *= scale;
+  }
+  return to_wire(camera);
+}
+
 }  // namespace
 
 Follower::Follower(FollowerOptions options, std::int64_t now_ns)
@@ -125,7 +138,7 @@ void Follower::hello(std::int64_t now_ns) {
     if (held.size() < kMaxHelloPages) held.emplace_back(page, version);
   }
   say(wire::Body::Hello, [&](auto& builder) {
-    const wire::Camera camera = camera_ ? to_wire(*camera_) : wire::Camera();
+    const wire::Camera camera = camera_ ? told(*camera_) : wire::Camera();
     return wire::CreateHelloDirect(builder, options_.name.c_str(), camera_ ? &camera : nullptr, options_.probes,
                                    static_cast<std::uint32_t>(options_.max_gaussians), &held,
                                    replica_.visibility_version(), replica_.scene_version(), options_.max_kbps);
@@ -139,7 +152,7 @@ void Follower::pose(std::int64_t now_ns) {
   posed_ = camera_;
   posed_ns_ = now_ns;
   say(wire::Body::Pose, [&](auto& builder) {
-    const wire::Camera wired = to_wire(*camera_);
+    const wire::Camera wired = told(*camera_);
     return wire::CreatePose(builder, &wired);
   });
 }

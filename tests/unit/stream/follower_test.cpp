@@ -230,6 +230,18 @@ TEST_F(FollowerTest, TellsWhereTheCameraIsTenTimesASecondWhileItMovesAndOnceWhil
   EXPECT_THAT(poses, ElementsAre(0, 100, 200, 300, 400, 500, 600, 700, 800, 900, 1000, 2000));
 }
 
+TEST_F(FollowerTest, AWallOfScreensIsToldAsTheSameViewInFewerPixels) {
+  follower->set_camera(look_at({1, 2, 3}, {0, 0, 0}, 11520, 2160, 1));
+  const auto packets = said();
+  ASSERT_EQ(packets.size(), 1U);
+  const Camera told = from_wire(*packets.front().root().body_as_Hello()->camera());
+  EXPECT_EQ(told.width, 8192U);
+  const Camera same = look_at({1, 2, 3}, {0, 0, 0}, 8192, 1536, 1);
+  EXPECT_EQ(told.height, same.height);
+  EXPECT_NEAR(told.fx, same.fx, 0.1F);
+  EXPECT_NEAR(told.cy, same.cy, 0.1F);
+}
+
 TEST_F(FollowerTest, ACameraThatNobodyMovesIsNotRepeated) {
   bodies();
   welcome();
