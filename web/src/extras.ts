@@ -4,6 +4,7 @@ import type { Rig } from './camera/rig';
 import { Comparison } from './compare/comparison';
 import { downloadModel, rightsHere, type ModelFile } from './download';
 import { poseFloats, type View } from './math';
+import { Picking } from './picking';
 import type { EyeRenderer, Frame } from './render/renderer';
 import { savePng } from './snapshot';
 import type { Stage } from './stage';
@@ -27,6 +28,7 @@ export interface PageActions {
 /** What a person can do with the picture besides looking at it. */
 export class Extras {
   readonly comparison: Comparison;
+  readonly picking: Picking;
   immersion: Immersion | null = null;
   /** A headset has been asked for, or is on. */
   #immersed = false;
@@ -39,7 +41,9 @@ export class Extras {
     private readonly link: StreamLink,
     private readonly access: { readonly token: string | null },
     private readonly page: PageActions,
+    private readonly mip: boolean,
   ) {
+    this.picking = new Picking(stage, rig, link, page.view, mip);
     this.comparison = new Comparison({
       ask: (probeId, view) => {
         const floats = poseFloats(view);
@@ -54,7 +58,7 @@ export class Extras {
     const { scene } = this.stage;
     const then = scene.transforms.slice(); // with objects that have come since
     then.set(transforms.subarray(0, then.length));
-    return { view, scene: { ...scene, transforms: then }, resolution: 1, timeS: performance.now() / 1000, colorPart: 1 };
+    return { view, scene: { ...scene, transforms: then }, resolution: 1, timeS: performance.now() / 1000, colorPart: 1, mip: this.mip };
   }
 
   async compare(): Promise<void> {

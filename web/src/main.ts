@@ -49,6 +49,7 @@ const viewer = new Viewer(document.body, {
   api: wantedApi(address.options),
   socket: socket.href,
   token: keptToken(address.token),
+  mip: address.options.get('mip') !== '0',
   settings: loadSettings(),
   bench: flightSeconds(address.options),
 });

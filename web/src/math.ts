@@ -48,6 +48,11 @@ export function scaledView(view: View, width: number, height: number): View {
 /** Floats of a world_from_object, row-major 3x4. */
 export const kTransformFloats = 12;
 
+function isHidden(transforms: Float32Array, at: number): boolean {
+  for (let k = 0; k < kTransformFloats; ++k) if (transforms[at + k] !== 0) return false;
+  return true;
+}
+
 /**
  * camera_from_object of every transform, [count][12], in double precision until the end. That of index `farField`, if it
  * is not 0, goes with the eye.
@@ -55,6 +60,10 @@ export const kTransformFloats = 12;
 export function cameraFromObjects(view: View, transforms: Float32Array, farField: number, out: Float32Array): void {
   const v = view.viewFromWorld;
   for (let at = 0; at < transforms.length; at += kTransformFloats) {
+    if (isHidden(transforms, at)) {
+      out.fill(0, at, at + kTransformFloats); // at the eye, where nothing is seen
+      continue;
+    }
     const fixed = farField === 0 || at !== farField * kTransformFloats;
     for (let row = 0; row < 3; ++row) {
       for (let column = 0; column < 4; ++column) {

@@ -17,7 +17,7 @@ import { StreamLink } from './stream/stream_link';
 import { texts } from './texts';
 import { make, button } from './ui/dom';
 import { Menu } from './ui/menu';
-import { keepSettings, kBackgrounds, kResolutions, kSpeeds, type Settings } from './ui/settings';
+import { keepSettings, kResolutions, kSpeeds, sceneBefore, type Settings } from './ui/settings';
 import { takeShortcuts } from './ui/shortcuts';
 import { canImmerse } from './xr/immersion';
 
@@ -30,6 +30,8 @@ export interface ViewerOptions {
   readonly api: Api | null;
   readonly socket: string;
   readonly token: string | null;
+  /** As Frame's. */
+  readonly mip: boolean;
   readonly settings: Settings;
   /** Seconds of a flight that is measured; 0: none. */
   readonly bench: number;
@@ -100,10 +102,11 @@ export class Viewer {
       },
       redraw: () => (this.#redraw = true),
       notice: (text) => this.#status.notice.pass(text),
-    });
+    }, options.mip);
     this.stage.element.setAttribute('aria-label', texts.picture);
     this.#controls = new Controls(this.stage.element, this.rig);
     this.#controls.onFrameAll = () => this.overview.ask();
+    this.#controls.onPick = (right, down) => this.extras.picking.at(right, down);
     const actions = {
       frameAll: () => this.overview.ask(),
       resetView: () => this.overview.reset(),
@@ -226,15 +229,8 @@ export class Viewer {
   }
 
   #frame(view: View, resolution: number, nowMs: number): Frame {
-    const { background } = this.options.settings;
-    const scene = this.stage.sceneAt(nowMs);
-    return {
-      view,
-      scene: background === 'scene' ? scene : { ...scene, background: kBackgrounds[background] },
-      resolution,
-      timeS: nowMs / 1000,
-      colorPart: this.stage.colorPart,
-    };
+    const { settings, mip } = this.options;
+    return { view, scene: sceneBefore(settings.background, this.stage.sceneAt(nowMs)), resolution, timeS: nowMs / 1000, colorPart: this.stage.colorPart, mip };
   }
 
   /** Where the camera is, to those who sort and to the streamer. */
@@ -261,6 +257,8 @@ export class Viewer {
     } else if (message.kind === 'bounds') {
       this.#bench.around(message.centre, message.radius);
       if (this.overview.show(message.centre, message.radius) && !this.#steered) this.#goal = this.rig.goal;
+    } else if (message.kind === 'pick') {
+      this.extras.picking.hear(message.number, message.point);
     } else if (message.kind === 'picture') {
       void this.extras.comparison.hear(message.picture);
     }

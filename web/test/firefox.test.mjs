@@ -20,7 +20,7 @@ after(async () => {
 
 test('pictures are those of the definition', async () => {
   await firefox.goto(`${server.url}/picture.html`);
-  const results = await firefox.evaluate("window.tests.pictures('webgl2', 2000, 128)");
+  const results = await firefox.evaluate("window.tests.pictures('webgl2', 2000, 128, true)");
   for (const { psnr, ssim } of results) assert.ok(psnr >= 55 && ssim >= 0.9992, `PSNR ${psnr}, SSIM ${ssim}`);
 });
 

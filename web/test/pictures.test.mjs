@@ -34,15 +34,17 @@ for (const api of ['webgl2', 'webgpu']) {
     });
     after(() => page.close());
 
-    test('pictures are those of the definition', async () => {
-      const results = await page.evaluate((name) => window.tests.pictures(name, 4000, 192), api);
-      results.forEach((result, index) => {
-        if (kPictures) writeFileSync(join(kPictures, `${api}_${index}.png`), Buffer.from(result.png, 'base64'));
-        console.log(`${api} ${index}: PSNR ${result.psnr.toFixed(2)} dB, SSIM ${result.ssim.toFixed(5)}`);
-        assert.ok(result.psnr >= kLeastPsnr, `PSNR ${result.psnr}`);
-        assert.ok(result.ssim >= kLeastSsim, `SSIM ${result.ssim}`);
+    for (const mip of [true, false]) {
+      test(`pictures are those of the definition, ${mip ? 'with' : 'without'} the filter of training`, async () => {
+        const results = await page.evaluate(([name, filtered]) => window.tests.pictures(name, 4000, 192, filtered), [api, mip]);
+        results.forEach((result, index) => {
+          if (kPictures) writeFileSync(join(kPictures, `${api}_${index}${mip ? '' : '_unfiltered'}.png`), Buffer.from(result.png, 'base64'));
+          console.log(`${api} ${index}: PSNR ${result.psnr.toFixed(2)} dB, SSIM ${result.ssim.toFixed(5)}`);
+          assert.ok(result.psnr >= kLeastPsnr, `PSNR ${result.psnr}`);
+          assert.ok(result.ssim >= kLeastSsim, `SSIM ${result.ssim}`);
+        });
       });
-    });
+    }
 
     test('only changed rows are uploaded', async () => {
       const { rows, psnr } = await page.evaluate((name) => window.tests.changes(name), api);

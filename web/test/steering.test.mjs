@@ -1,8 +1,13 @@
 // How a person steers the page: by keys, mouse, fingers and gamepad.
 import assert from 'node:assert/strict';
+import { resolve } from 'node:path';
 import { test } from 'node:test';
+import { pathToFileURL } from 'node:url';
 import { goal, kPage, kStart, opened, reaches } from './opened_page.mjs';
 import { readPng } from './png.mjs';
+
+const kPages = process.env.SPLATBUS_WEB_TESTS ?? '../build/release/web-tests';
+const logic = await import(pathToFileURL(resolve(kPages, 'logic.js')));
 
 /** Where the camera looks to begin with. */
 const kAhead = [-Math.cos(kStart.pitch) * Math.cos(kStart.yaw), -Math.sin(kStart.pitch), -Math.cos(kStart.pitch) * Math.sin(kStart.yaw)];
@@ -102,7 +107,39 @@ const comesToCentre = (page, { target, pitch }) =>
     [target, pitch],
   );
 
-test('a double-click centres what is there; two clicks apart do not', () =>
+/** What that pixel shows of the scene that the page is given, found in double precision. */
+const surfaceAt = (x, y) => logic.referenceSurface(logic.syntheticScene(3000), logic.viewOf(kStart, 320, 200), x, y)?.point ?? null;
+const eyeOf = ({ target, yaw, pitch, distance }) => [
+  target[0] + distance * Math.cos(pitch) * Math.cos(yaw),
+  target[1] + distance * Math.sin(pitch),
+  target[2] + distance * Math.cos(pitch) * Math.sin(yaw),
+];
+/** Waits until the camera rests that looks at that point from where it was. */
+async function comesToOrbit(page, point) {
+  await page.waitForFunction((wanted) => {
+    const { rig } = window.splatbus;
+    return rig.shown === rig.goal && Math.hypot(...rig.goal.target.map((value, k) => value - wanted[k])) < 1e-3;
+  }, point);
+  const [eye, before] = [eyeOf(await goal(page)), eyeOf(kStart)];
+  assert.ok(Math.hypot(...eye.map((value, k) => value - before[k])) < 1e-3, `the eye is at ${eye}, and was at ${before}`);
+}
+
+test('a double-click on a thing makes it what the camera orbits', () =>
+  opened(kPage, async (page) => {
+    const point = surfaceAt(100, 80);
+    await page.mouse.dblclick(100, 80);
+    await comesToOrbit(page, point);
+    assert.ok(Math.abs((await goal(page)).distance - kStart.distance) > 0.1, 'it is elsewhere than what it orbited');
+    const { pitch } = await goal(page);
+    await page.mouse.move(160, 100);
+    await page.mouse.down();
+    await page.mouse.move(200, 100, { steps: 4 });
+    await page.mouse.up();
+    await reaches(page, { pitch });
+    assert.ok(Math.hypot(...(await goal(page)).target.map((value, k) => value - point[k])) < 1e-3, 'and so it does');
+  }));
+
+test('a double-click where nothing is centres that direction; two clicks apart do not', () =>
   opened(kPage, async (page) => {
     await page.mouse.click(230, 60);
     await page.waitForTimeout(500);
@@ -111,6 +148,7 @@ test('a double-click centres what is there; two clicks apart do not', () =>
     await turns(page);
     assert.deepEqual(await goal(page), kStart);
     await page.waitForTimeout(500);
+    assert.equal(surfaceAt(230, 60), null);
     await page.mouse.dblclick(230, 60);
     await comesToCentre(page, centred(230, 60));
     assert.equal((await goal(page)).distance, kStart.distance);
@@ -206,7 +244,7 @@ test('one finger orbits, two pinch and pan, a stick moves', () =>
     { hasTouch: true },
   ));
 
-test('two taps centre what is there; a tap and one elsewhere, or one of two fingers, do not', () =>
+test('two taps make what is there what the camera orbits; a tap and one elsewhere, or one of two fingers, do not', () =>
   opened(
     kPage,
     async (page) => {
@@ -222,9 +260,9 @@ test('two taps centre what is there; a tap and one elsewhere, or one of two fing
       await turns(page);
       const { target, distance } = await goal(page);
       assert.ok(Math.hypot(...target) < 1e-9 && Math.abs(distance - kStart.distance) < 1e-9, `${target}`);
-      await tap([230, 60]);
-      await tap([230, 60]);
-      await comesToCentre(page, centred(230, 60));
+      await tap([160, 100]);
+      await tap([160, 100]);
+      await comesToOrbit(page, surfaceAt(160, 100));
     },
     { hasTouch: true },
   ));

@@ -28,6 +28,11 @@ export class Controls {
     addEventListener('keyup', (event) => this.keys.release(event));
   }
 
+  /** As Pointers'. */
+  set onPick(hear: (right: number, down: number) => void) {
+    this.#pointers.onPick = hear;
+  }
+
   /** Moves the camera by what has been held down for so long. */
   advance(seconds: number): void {
     const step = Math.min(seconds, kLongestStepS);

@@ -15,7 +15,7 @@ interface Pinch extends At {
   readonly apart: number;
 }
 
-/** Mouse, pen and fingers on the picture: one orbits, two pan and pinch; the other mouse buttons, or Shift, pan. Two taps centre. */
+/** Mouse, pen and fingers on the picture: one orbits, two pan and pinch; the other mouse buttons, or Shift, pan. Two taps pick. */
 export class Pointers {
   readonly #down = new Map<number, At>();
   readonly #taps = new Taps();
@@ -23,6 +23,8 @@ export class Pointers {
   /** As the camera has followed it. */
   #pinch: Pinch | null = null;
   touched = false;
+  /** Where two taps were, in focal lengths off the middle: to the right, and down. */
+  onPick: (right: number, down: number) => void = () => {};
 
   constructor(
     private readonly element: HTMLElement,
@@ -63,14 +65,14 @@ export class Pointers {
     this.#down.delete(event.pointerId);
     this.#pinch = this.#pinchNow();
     if (event.type === 'pointercancel') this.#taps.cancel();
-    if (event.type === 'pointerup' && this.#taps.release(tapOf(event))) this.#centre(event);
+    if (event.type === 'pointerup' && this.#taps.release(tapOf(event))) this.#pick(event);
   }
 
-  #centre(event: PointerEvent): void {
+  #pick(event: PointerEvent): void {
     const box = this.element.getBoundingClientRect();
     const right = event.clientX - (box.left + box.right) / 2;
     const down = event.clientY - (box.top + box.bottom) / 2;
-    this.rig.centre(right / this.#focal, down / this.#focal);
+    this.onPick(right / this.#focal, down / this.#focal);
   }
 
   #press(event: PointerEvent): void {

@@ -119,14 +119,26 @@ export class Rig {
   }
 
   /**
-   * What is seen there, in focal lengths off the middle, comes to the middle and is what one orbits. How far it is nobody knows
-   * here, so the eye stays, as does the distance to the target: it is centred however far it is.
+   * What is seen there, in focal lengths off the middle, comes to the middle. How far it is nobody knows here, so the eye stays,
+   * as does the distance to the target: it is centred however far it is.
    */
   centre(right: number, down: number): void {
     const seen = this.#shown;
     const ray = sub(add(scale(rightOf(seen), right), scale(downOf(seen), down)), backwardOf(seen));
     const [x, y, z] = scale(ray, 1 / length(ray));
     this.look(shortest(Math.atan2(-z, -x) - this.#goal.yaw), Math.asin(-y) - this.#goal.pitch);
+  }
+
+  /** That point comes to the middle and is what one orbits; the eye stays. */
+  orbitAbout(point: Vec3): void {
+    const from = sub(eyeOf(this.#goal), point);
+    const [x, y, z] = scale(from, 1 / Math.max(length(from), 1e-12));
+    const goal = { target: point, yaw: Math.atan2(z, x), pitch: Math.asin(clamp(y, -1, 1)), distance: length(from) };
+    if (!isPlace(goal)) return;
+    this.moveStraight(goal);
+    // On its way it would come nearer or go farther by the difference: what it orbits lies elsewhere on its axis from now on.
+    const { distance } = this.#goal;
+    this.#shown = { ...this.#shown, target: sub(eyeOf(this.#shown), scale(backwardOf(this.#shown), distance)), distance };
   }
 
   /** What is at the target's distance follows by as many of a picture's pixels. */

@@ -11,6 +11,8 @@ export interface Frame {
   readonly timeS: number;
   /** How far colors are from those that keepColors() has kept to those that there are: at 1. */
   readonly colorPart: number;
+  /** What is smaller than a pixel becomes as much fainter as it is made larger: the model was trained so (Mip-Splatting). */
+  readonly mip: boolean;
 }
 
 /** What an eye sees, and where in the target, from its lower left corner. */
@@ -48,7 +50,7 @@ export const kNoFade = 0;
 
 /**
  * Draws rows of Gaussians as the project's CPU rasteriser does: the local affine approximation, 0.3 pixels^2 of low pass
- * with the opacity that it takes away, tangents clamped to 1.3 times the field of view, alpha at most 0.999 and nothing
+ * with the opacity that it takes away (Frame.mip), tangents clamped to 1.3 times the field of view, alpha at most 0.999 and nothing
  * below 1/255; linear light, back to front, into 16-bit floats; then background and the sRGB curve.
  */
 export interface Renderer {

@@ -1,6 +1,8 @@
 // What the page and its workers say to each other. The stream worker holds the model and gives its rows to whoever is at
 // the other end of a port: the page, or the sort worker, which hands them on together with the order that they belong to.
+import type { Vec3 } from '../math';
 import type { ColorUpdate, RowUpdate, Scene, SceneTime } from '../records';
+import type { Pointed } from './pick';
 
 export interface SceneBatch {
   /** These rows are all there are: what was before is gone. */
@@ -47,6 +49,8 @@ export type ToStreamWorker =
   /** Another Budget.megabits. */
   | { kind: 'rate'; megabits: number }
   | { kind: 'bounds' }
+  /** Asks for the surface that somebody points at; `number` comes with the answer. */
+  | { kind: 'pick'; number: number; at: Pointed }
   /** The page goes, and nobody is to wait for it. */
   | { kind: 'farewell' };
 
@@ -73,6 +77,8 @@ export type FromStreamWorker =
   | { kind: 'connection'; state: ConnectionState; retryS: number; died?: 'by itself' | 'out of memory' }
   | { kind: 'figures'; figures: StreamFigures }
   | { kind: 'bounds'; centre: [number, number, number]; radius: number }
+  /** In the world, metres; null: nothing is hit. */
+  | { kind: 'pick'; number: number; point: Vec3 | null }
   | { kind: 'picture'; picture: EnginePicture }
   /** The worker cannot go on: another one is needed. */
   | { kind: 'failed'; reason: string };

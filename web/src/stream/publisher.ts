@@ -1,6 +1,8 @@
 import { kNoScene, type ColorUpdate, type RowUpdate, type Scene, type SceneTime } from '../records';
+import type { Vec3 } from '../math';
 import { kNoFade } from '../render/renderer';
 import { transfersOf } from './messages';
+import type { Pointed } from './pick';
 import { RowMirror, type ChangedRows } from './row_mirror';
 
 const noColors = (): ColorUpdate => ({ rows: new Uint32Array(0), colors: new Uint32Array(0) });
@@ -83,6 +85,10 @@ export class Publisher {
 
   bounds(): { centre: [number, number, number]; radius: number } | null {
     return this.#mirror.bounds(this.#scene);
+  }
+
+  pick(at: Pointed): Vec3 | null {
+    return this.#mirror.pick(at);
   }
 
   /** Of a model beyond the budget the rest never comes. */

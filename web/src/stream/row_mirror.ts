@@ -1,7 +1,8 @@
 import { grown } from '../growing';
-import { kTransformFloats } from '../math';
+import { kTransformFloats, type Vec3 } from '../math';
 import { kRecordWords, objectOf, opacityOf, type ColorUpdate, type RowUpdate, type Scene } from '../records';
 import { kFadeS, kNoFade } from '../render/renderer';
+import { pick, type Pointed } from './pick';
 
 /** Rows that are sampled for the bounds. */
 const kSampled = 20000;
@@ -117,6 +118,11 @@ export class RowMirror {
     const centre = ranges.map(([low, high]) => (low + high) / 2) as [number, number, number];
     const half = ranges.map(([low, high]) => (high - low) / 2);
     return { centre, radius: Math.max(Math.hypot(half[0], half[1], half[2]), 0.1) };
+  }
+
+  /** The surface that somebody points at; null: there is none. */
+  pick(at: Pointed): Vec3 | null {
+    return pick(this.#records, this.#fades, this.#used, at);
   }
 
   #nothing(rows: number): Omit<RowUpdate, 'rows'> {

@@ -79,6 +79,9 @@ class Stream {
         if (bounds) scope.postMessage({ kind: 'bounds', ...bounds });
         break;
       }
+      case 'pick':
+        scope.postMessage({ kind: 'pick', number: message.number, point: this.#publisher.pick(message.at) });
+        break;
       case 'farewell':
         this.#connection.leave(this.#follower.farewell());
         break;

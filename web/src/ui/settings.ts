@@ -1,4 +1,5 @@
 // What a person chose, kept by the browser for the next time.
+import type { Scene } from '../records';
 import type { Budget } from '../stream/messages';
 
 export type Quality = 'auto' | 'full' | 'high' | 'medium' | 'low';
@@ -17,11 +18,14 @@ export interface Settings {
 }
 
 export const kResolutions: Readonly<Record<Exclude<Quality, 'auto'>, number>> = { full: 1, high: 0.75, medium: 0.5, low: 0.35 };
-export const kBackgrounds: Readonly<Record<Exclude<Background, 'scene'>, [number, number, number]>> = {
+const kBackgrounds: Readonly<Record<Exclude<Background, 'scene'>, [number, number, number]>> = {
   black: [0, 0, 0],
   gray: [0.2, 0.2, 0.2],
   white: [1, 1, 1],
 };
+/** The scene before the background that was chosen. */
+export const sceneBefore = (background: Background, scene: Scene): Scene =>
+  background === 'scene' ? scene : { ...scene, background: kBackgrounds[background] };
 export const kSpeeds: Readonly<Record<Speed, number>> = { slow: 0.25, normal: 1, fast: 3, fastest: 10 };
 /** Mbit/s; 0: as the streamer likes. */
 export const kRateBudgets = [0, 1, 2, 5, 10, 20, 50] as const;

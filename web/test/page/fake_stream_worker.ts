@@ -88,5 +88,7 @@ scope.onmessage = ({ data }) => {
   } else if (data.kind === 'bounds') {
     const bounds = publisher.bounds();
     if (bounds) scope.postMessage({ kind: 'bounds', ...bounds });
+  } else if (data.kind === 'pick') {
+    scope.postMessage({ kind: 'pick', number: data.number, point: publisher.pick(data.at) });
   }
 };

@@ -33,6 +33,7 @@ const frameOf = (scene: SyntheticScene, view: View): Frame => ({
   resolution: 1,
   timeS: 1000,
   colorPart: 1,
+  mip: true,
 });
 
 async function drawPoses(follower: Follower, renderer: Renderer, sorter: Sorter, poses: number[][]): Promise<string[]> {
@@ -50,7 +51,7 @@ async function drawPoses(follower: Follower, renderer: Renderer, sorter: Sorter,
     const [fx, fy, cx, cy, width, height] = pose.slice(16);
     const view = { viewFromWorld: Float64Array.from(pose.slice(0, 16)), fx, fy, cx, cy, width, height };
     renderer.setOrder(sorter.sort(new Float32Array(view.viewFromWorld)).slice());
-    pictures.push(await pngOf(await renderer.capture({ view, scene, resolution: 1, timeS: 1000, colorPart: 1 })));
+    pictures.push(await pngOf(await renderer.capture({ view, scene, resolution: 1, timeS: 1000, colorPart: 1, mip: true })));
   }
   return pictures;
 }
@@ -69,12 +70,12 @@ async function pngOf(picture: Picture): Promise<string> {
   return btoa(Array.from(bytes, (byte) => String.fromCharCode(byte)).join(''));
 }
 
-async function shown(renderer: Renderer, scene: SyntheticScene, view: View): Promise<{ psnr: number; ssim: number; png: string }> {
-  renderer.setOrder(referenceOrder(scene, view));
-  const frame = frameOf(scene, view);
+async function shown(renderer: Renderer, scene: SyntheticScene, view: View, mip = true): Promise<{ psnr: number; ssim: number; png: string }> {
+  renderer.setOrder(referenceOrder(scene, view, mip));
+  const frame = { ...frameOf(scene, view), mip };
   renderer.draw(frame);
   const picture = await renderer.capture(frame);
-  const truth = referencePicture(scene, view, kBackground);
+  const truth = referencePicture(scene, view, kBackground, mip);
   const rgb = rgbOf(picture);
   return { psnr: psnr(rgb, truth), ssim: ssim(rgb, truth, picture.width, picture.height), png: await pngOf(picture) };
 }
@@ -89,12 +90,12 @@ async function cleared(api: 'webgl2' | 'webgpu'): Promise<Renderer> {
 
 const tests = {
   /** How near the renderer's pictures are to the reference, from several sides. */
-  async pictures(api: 'webgl2' | 'webgpu', count: number, size: number): Promise<object[]> {
+  async pictures(api: 'webgl2' | 'webgpu', count: number, size: number, mip: boolean): Promise<object[]> {
     const renderer = await cleared(api);
     const scene = syntheticScene(count);
     renderer.apply(wholeUpdate(scene));
     const results = [];
-    for (const turn of [0.3, 2.2]) results.push(await shown(renderer, scene, testView(size, turn)));
+    for (const turn of [0.3, 2.2]) results.push(await shown(renderer, scene, testView(size, turn), mip));
     return results;
   },
 

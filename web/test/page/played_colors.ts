@@ -47,7 +47,7 @@ export async function playedColors(renderer: Renderer, view: View): Promise<Judg
     playout.advance(shownMs, renderer);
     const { transforms } = scene;
     const shown = { transforms, farField: 0, player: 0, background: kBackground, displaySpace: false };
-    const picture = await renderer.capture({ view, scene: shown, resolution: 1, timeS: 1000, colorPart: playout.part });
+    const picture = await renderer.capture({ view, scene: shown, resolution: 1, timeS: 1000, colorPart: playout.part, mip: true });
     const truth: SyntheticScene = { ...scene, gaussians: scene.gaussians.map((gaussian, row) => ({ ...gaussian, color: [...colors[row]] })) };
     judged.push({ shownMs, psnr: psnr(rgbOf(picture), referencePicture(truth, view, kBackground)), bytes: renderer.uploaded.bytes - before, due });
   };

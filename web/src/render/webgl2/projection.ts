@@ -78,6 +78,7 @@ export class Projection {
     gl.uniform4f(program.at('uTangents'), ...tangentLimits(view));
     gl.uniform1f(program.at('uTime'), frame.timeS);
     gl.uniform1f(program.at('uColorPart'), frame.colorPart);
+    gl.uniform1i(program.at('uMip'), Number(frame.mip));
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.#ranks.target);
     gl.viewport(0, 0, kOrderWidth, Math.ceil(this.#count / kOrderWidth));
     gl.disable(gl.BLEND);

@@ -27,6 +27,7 @@ uniform vec4 uPinhole;           // fx, fy, cx, cy
 uniform vec2 uSize;
 uniform vec4 uTangents;          // low x, high x, low y, high y
 uniform float uTime;
+uniform bool uMip;               // Frame.mip
 
 layout(location = 0) out uvec4 oLow;   // centre, root xy
 layout(location = 1) out uvec4 oHigh;  // root z, log2 of alpha in the middle, color
@@ -84,7 +85,7 @@ void main() {
 
   Splat splat;
   mat3 w = mat3(w0.xyz, w1.xyz, w2.xyz);
-  if (!splatOf(View(uPinhole, uSize, uTangents, true), geometry, appearance, w, point, opacity, splat)) return;
+  if (!splatOf(View(uPinhole, uSize, uTangents, uMip), geometry, appearance, w, point, opacity, splat)) return;
   vec3 color = uHarmonicTexels == 0
       ? shadeOf(at, appearance.w)
       : radianceOf(row, normalize(w0.xyz * point.x + w1.xyz * point.y + w2.xyz * point.z));

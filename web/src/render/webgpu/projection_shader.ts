@@ -107,7 +107,7 @@ fn project(row: u32) -> u32 {
   let blurred = sharp + kBlur * (sharp_a + c);
   let a = sharp_a + kBlur;
   if (!(blurred > 0.0 && blurred < 1e30)) { return kUnseen; }
-  let alpha = opacity * sqrt(sharp / blurred);
+  let alpha = opacity * select(1.0, sqrt(sharp / blurred), view.mip != 0);
   if (!(alpha >= kAlphaMin)) { return kUnseen; }
 
   let log2_alpha = log2(alpha);

@@ -17,6 +17,7 @@ struct View {
   display_space: u32,
   harmonic_words: u32,  // of a row; 0: colors do not depend on where one looks from
   color_part: f32,      // from the colors that are kept to the records'
+  mip: u32,             // Frame.mip
 }
 @group(0) @binding(0) var<uniform> view: View;
 `;

@@ -172,6 +172,7 @@ export class WebGpuRenderer implements Renderer {
     words[15] = Number(scene.displaySpace);
     words[16] = this.#rows.harmonicWords;
     floats[17] = frame.colorPart;
+    words[18] = Number(frame.mip);
     this.device.queue.writeBuffer(this.#view, 0, bytes);
     const objects = new Float32Array(scene.transforms.length);
     cameraFromObjects(frame.view, scene.transforms, scene.farField, objects);
