@@ -205,7 +205,7 @@ TEST_F(DoctorOnABus, NamesWhoSpeaksAnotherProtocol) {
     check = check_bus(directory_.address());
     return check.verdict == Verdict::Fail;
   }));
-  EXPECT_THAT(check.found, HasSubstr("test.next (2)"));
+  EXPECT_THAT(check.found, HasSubstr("test.next (" + std::to_string(kProtocolVersion + 1) + ")"));
   EXPECT_THAT(check.advice, testing::EndsWith("splatbus restart test.next")) << "restart wants names";
 }
 

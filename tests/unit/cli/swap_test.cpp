@@ -1,5 +1,6 @@
 #include "swap.h"
 
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <unistd.h>
 
@@ -167,7 +168,8 @@ TEST_F(SwapProcesses, OneThatHangsIsRefused) {
 
 TEST_F(SwapProcesses, OneOfAnotherProtocolIsRefused) {
   EXPECT_THAT(refusal(bin("swap-test-other-protocol"), {directory_.address().text()}),
-              HasSubstr("speaks version 2 of the protocol, this bus version 1"));
+              HasSubstr(fmt::format("speaks version {} of the protocol, this bus version {}", kProtocolVersion + 1,
+                                    kProtocolVersion)));
 }
 
 /// Loses sight of its processes at a phase of the swap.
