@@ -68,6 +68,7 @@ int port_of(const std::string& endpoint) {
 
 /// It listens at another port than the launch file says, or on all addresses: its probes ask there.
 void move_probes(DeployProcess& process, int from, int to) {
+  if (from == 0) return;  // it listens nowhere: a URL without a port is somebody else's
   for (std::optional<Probe>* probe : {&process.readiness, &process.liveness}) {
     if (!*probe || (*probe)->kind == Probe::Kind::Command) continue;
     std::string& target = (*probe)->target;

@@ -143,6 +143,8 @@ assert.equal(find("Service", "far").spec.clusterIP, "None");
 assert.ok(far.template.spec.containers[0].env.some((entry) => entry.valueFrom?.secretKeyRef?.name === "splatbus-keys"));
 assert.ok(far.template.spec.containers[0].command.includes("$(POD_NAME)"));
 assert.deepEqual(far.template.spec.containers[0].livenessProbe.exec.command, ["sh", "-c", 'splatbus health "$POD_NAME"']);
+assert.deepEqual(far.template.spec.containers[0].readinessProbe.exec.command.slice(0, 4),
+  ["splatbus", "health", "--http", "http://localhost/up"], "what it asks of a port that is not its own stays");
 for (const spec of [pod, far.template.spec]) {
   for (const one of spec.containers) {
     const mounts = one.volumeMounts ?? [];
