@@ -13,7 +13,7 @@ namespace {
 using bus_test::eventually;
 using namespace std::chrono_literals;
 
-constexpr std::uint64_t kNumbers = 400, kApartNs = 20'000'000;  // 8 s in all
+constexpr std::uint64_t kNumbers = 250, kApartNs = 20'000'000;  // 5 s in all
 
 std::vector<std::byte> probe(std::uint64_t number) {
   flatbuffers::FlatBufferBuilder builder;
@@ -87,7 +87,7 @@ TEST_F(PlayTerminal, SpacePausesAndGoesOnAndKeysPlayOneMessage) {
   // Neither the pause nor the steps are made up for: each comes a step after the one before.
   EXPECT_GT(bus::now_ns() - on_ns, static_cast<std::int64_t>((left - 1) * kApartNs));
   EXPECT_EQ(reader_.lost(), 0U);
-  EXPECT_TRUE(terminal.read_until("played 400 messages")) << terminal.all();
+  EXPECT_TRUE(terminal.read_until("played " + std::to_string(kNumbers) + " messages")) << terminal.all();
   EXPECT_EQ(terminal.wait(), 0);
   EXPECT_TRUE(terminal.is_as_it_was());
 }
