@@ -9,6 +9,7 @@
 #include <string>
 #include <vector>
 
+#include "wire/sampling_topics.h"
 #include "wire/share_topics.h"
 #include "wire/topics.h"
 #include "wire/trace_topics.h"
@@ -28,10 +29,11 @@ constexpr std::array kSchemas{kSchema<CaptureInput>,      kSchema<CaptureProbe>,
                               kSchema<StreamerOffer>,     kSchema<Topics>,
                               kSchema<TrainerStats>,      kSchema<ViewerPose>,
                               kSchema<ViewerProbe>,       kSchema<ViewerQuality>,
-                              kSchema<StreamShare>};
+                              kSchema<StreamShare>,       kSchema<SamplingOffer>,
+                              kSchema<SamplingResult>,    kSchema<SamplingRound>};
 /// A family before those that include it, so that a table's schema says no more than it has to.
-constexpr std::array<std::string_view, 9> kFamilies{"engine", "scene",  "capture", "model", "viewer",
-                                                    "system", "stream", "trace",   "share"};
+constexpr std::array<std::string_view, 10> kFamilies{"engine", "scene",  "capture", "model", "viewer",
+                                                     "system", "stream", "trace",   "share", "sampling"};
 
 /// By family, "system", or file, "foxglove/Log".
 const std::map<std::string_view, std::vector<std::uint8_t>>& files() {

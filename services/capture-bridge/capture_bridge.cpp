@@ -23,8 +23,6 @@ namespace {
 constexpr std::int64_t kSecond = 1'000'000'000;
 constexpr std::int64_t kProbePatienceNs = 2 * kSecond;  // then the engine is asked again
 constexpr std::int64_t kLightMapPatienceNs = kSecond;
-constexpr std::int64_t kInputPatienceMaxNs = 30 * kSecond;
-constexpr std::int64_t kExpanderPatienceNs = 3 * kSecond / 2;
 constexpr std::size_t kMaxProbes = 64;
 // By ids and depth those who judge pictures tell what moves, and what lies in shadow.
 const wire::EngineBuffer kProbeBuffers =
@@ -44,6 +42,7 @@ CaptureBridge::CaptureBridge(std::shared_ptr<bus::Context> context, const bus::P
       probes_(kMaxProbes),
       input_pictures_(backend),
       blindness_(backend),
+      sharing_(context_, backend, options_->round_sizes()),
       worker_(context_, backend, options_->round_sizes()) {
   const RoundSizes expected = options_->round_sizes();
   subscribe();
@@ -62,6 +61,7 @@ void CaptureBridge::step(std::chrono::milliseconds timeout) {
   if (worker_.take_failure() || refused_one) bus::require_usable(input_pictures_.kind());
   engines_.update(now);
   update_rounds(now);
+  share_rounds(now);
   update_light_maps(now);
   refresh_pictures(now);
   update_probes(now);
@@ -69,6 +69,7 @@ void CaptureBridge::step(std::chrono::milliseconds timeout) {
 }
 
 void CaptureBridge::subscribe() {
+  subscribe_to_helpers();
   subscriber_
       .on(topics::kEngineFrame,
           [this](const wire::EngineFrame& frame, const bus::Message& message) { handle_frame(frame, message); })
@@ -128,20 +129,6 @@ void CaptureBridge::handle_trainer_stats(const wire::TrainerStats& stats, const 
   }
 }
 
-void CaptureBridge::handle_grid_state(const wire::GridState& state, const bus::Message& message) {
-  new_shares_.published(worker_.take_published());
-  for (const NewShareWatch::Share& share :
-       new_shares_.state(message.header().epoch(), state.rounds(), state.gaussians_inserted())) {
-    if (share.rig_generation != 0) rigs_.inputs().note_new_share(share.rig_generation, share.of_samples);
-  }
-  if (state.rounds() > 0 || worker_.statistics().rounds == 0) return;
-  // An expander that has seen no round has missed ours: it started later, or again.
-  const std::int64_t now = bus::now_ns();
-  for (auto& [viewer, rig] : rigs_.inputs().all()) {
-    if (!rig.round.empty() && now - rig.submitted_ns > kExpanderPatienceNs) submit_round(rig, true);
-  }
-}
-
 void CaptureBridge::update_rigs(std::int64_t now_ns) {
   viewers_.expire(now_ns);
   const auto left = rigs_.update(viewers_, now_ns);
@@ -153,22 +140,6 @@ void CaptureBridge::update_rigs(std::int64_t now_ns) {
     forwarder_.retire(camera);
   }
   for (const std::uint32_t camera_id : rigs_.inputs().take_placed()) refreshed_inputs_.pictures.forget(camera_id);
-}
-
-void CaptureBridge::update_rounds(std::int64_t now_ns) {
-  const std::int64_t deadline = nanoseconds(options_->input_deadline_s);
-  for (auto& [viewer, rig] : rigs_.inputs().all()) {
-    const InputRound& round = rig.round;
-    if (round.ready(now_ns, deadline)) submit_round(rig, false);
-    rig.patience_ns = std::max(rig.patience_ns, deadline);
-    if (round.missing().empty() || now_ns - rig.asked_ns < rig.patience_ns) continue;
-    static bus::LogLimiter limiter;
-    if (!round.empty() && limiter.allow()) {
-      spdlog::warn("{} input frames have not come: asking again", round.missing().size());
-    }
-    rigs_.inputs().reissue_missing(rig, now_ns, rigs_.cameras());
-    rig.patience_ns = std::min(2 * rig.patience_ns, kInputPatienceMaxNs);
-  }
 }
 
 /// A light that rests has its maps rendered once: one that was lost on its way would never come.
@@ -194,38 +165,6 @@ void CaptureBridge::refresh(Refresh& of, CameraRole role, double rate_hz, std::i
   if (rate_hz <= 0 || now_ns < of.next_ns) return;
   of.next_ns = now_ns + nanoseconds(1 / rate_hz);
   if (const auto stalest = of.pictures.take(forwarder_.newest_version(), now_ns)) rigs_.reissue(role, *stalest);
-}
-
-void CaptureBridge::submit_round(InputRig& rig, bool all) {
-  rig.submitted_ns = bus::now_ns();
-  InputJob job{.rig_generation = rig.round.rig_generation(), .options = options_->sampling};
-  double share = 1;
-  if (!all && rig.round.refreshes()) {
-    job.views = rig.round.take_fresh();
-    share = static_cast<double>(job.views.size()) / static_cast<double>(rig.round.cameras());
-  } else {
-    job.views = rig.round.take();
-    // The cameras that are asked for later bring their own: a part of a dome is not to be sampled more finely, but for
-    // what the viewer is about to see.
-    share = std::max(rig.share_asked(), options_->glance_share);
-  }
-  // Nor is it where viewers share the cameras: each would have a model twice as fine as if he were alone, in half of
-  // the time for it. One who is left alone has more again once he moves and is given cameras.
-  share *= rig.share_owned(options_->dome.cameras);
-  job.options.budget = static_cast<std::size_t>(static_cast<double>(job.options.budget) * share);
-  worker_.submit(std::move(job));
-}
-
-void CaptureBridge::submit_glance(InputRig& rig) {
-  const InputViewPointer glance = std::exchange(rig.glance, nullptr);
-  // A round that is complete by it has it too. However few cameras the viewer has, this one is whole.
-  if (!glance || options_->glance_share <= 0 || rig.round.ready(bus::now_ns(), INT64_MAX)) return;
-  InputJob job{
-      .views = {glance}, .rig_generation = rig.round.rig_generation(), .options = options_->sampling, .glance = true};
-  job.options.budget = static_cast<std::size_t>(static_cast<double>(job.options.budget) * options_->glance_share);
-  rig.submitted_ns = bus::now_ns();
-  ++counters_.glances;
-  worker_.submit(std::move(job));
 }
 
 void CaptureBridge::update_probes(std::int64_t now_ns) {

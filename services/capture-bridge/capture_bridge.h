@@ -20,6 +20,7 @@
 #include "capture-bridge/new_share.h"
 #include "capture-bridge/probe_table.h"
 #include "capture-bridge/rig_control.h"
+#include "capture-bridge/round_sharing.h"
 #include "capture-bridge/trainer_watch.h"
 #include "wire/engine_generated.h"
 #include "wire/viewer_poses.h"
@@ -40,7 +41,7 @@ struct BridgeCounters {
 };
 
 /// The service: asks the engines for cameras and hands their frames on. One thread calls step(); sampling runs on
-/// another. On a bus there is one that steps at a time.
+/// another, and in bridges that help. On a bus there is one that steps at a time.
 class CaptureBridge {
  public:
   /// `parameters` outlive the bridge. Input frames are kept and sampled where `backend` says. Throws std::runtime_error
@@ -50,12 +51,16 @@ class CaptureBridge {
   /// Handles what arrives within `timeout`, then what is due. Throws bus::Error when the device has failed for good.
   void step(std::chrono::milliseconds timeout);
 
-  /// Which engines there are, as the broker sees it.
-  void take(const wire::Liveness& liveness) { engines_.take(liveness); }
+  /// Which engines and other bridges there are, as the broker sees it.
+  void take(const wire::Liveness& liveness) {
+    engines_.take(liveness);
+    sharing_.take(liveness);
+  }
   [[nodiscard]] const Engines& engines() const { return engines_; }
 
   [[nodiscard]] const BridgeCounters& counters() const { return counters_; }
   [[nodiscard]] InputStatistics input_statistics() const { return worker_.statistics(); }
+  [[nodiscard]] const RoundSharing& sharing() const { return sharing_; }
   /// Bytes of pictures and depth maps that have passed through host memory.
   [[nodiscard]] std::uint64_t host_copied_bytes() const { return host_copied_bytes_; }
   [[nodiscard]] const bus::Subscriber& subscriber() const { return subscriber_; }
@@ -75,6 +80,7 @@ class CaptureBridge {
     std::int64_t came_ns = 0;
   };
   void subscribe();
+  void subscribe_to_helpers();
   void handle_frame(const wire::EngineFrame& frame, const bus::Message& message);
   void follow_frame(const wire::EngineFrame& frame, const bus::Message& message);
   void use_waiting_frames(std::int64_t now_ns);
@@ -98,6 +104,9 @@ class CaptureBridge {
   /// Of its newest frames; with `all` of all, whatever has been handed on before.
   void submit_round(InputRig& rig, bool all);
   void submit_glance(InputRig& rig);
+  /// For this bridge or another one to sample.
+  void submit(InputJob job);
+  void share_rounds(std::int64_t now_ns);
   void publish_cameras();
   /// To all engines where none is named.
   void publish_cameras(std::span<const CameraRequest> cameras, const std::string& engine);
@@ -137,6 +146,7 @@ class CaptureBridge {
   };
   Published references_published_, inputs_published_;
 
+  RoundSharing sharing_;
   InputWorker worker_;  // last: its thread uses the context
 };
 

@@ -25,6 +25,11 @@ void InputView::allocate(bus::MemoryPool& pool) {
   carve(albedo);
 }
 
+bool InputView::take_pictures(const bus::TensorView& from, std::atomic<std::uint64_t>& host_bytes) {
+  assert(from.bytes() == input_view_bytes(pixels()));
+  return bus::copy_tensor(from, block_.get(), memory, host_bytes);
+}
+
 void InputView::copy_pictures(const InputView& from) {
   assert(from.pixels() == pixels());
   bus::copy_memory(block_.get(), memory, from.block_.get(), from.memory, input_view_bytes(pixels()));

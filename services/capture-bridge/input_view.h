@@ -45,6 +45,11 @@ struct InputView {
 
   /// Makes room for the pictures of `camera` in one block of the pool, whatever they held.
   void allocate(bus::MemoryPool& pool);
+  /// All of them, input_view_bytes(pixels()) in the order in which they stand above.
+  [[nodiscard]] const std::byte* pictures() const { return block_.get(); }
+  /// Copies pictures() of a view of that size, this one allocated, and waits for it. False when they were overwritten
+  /// meanwhile. Adds to `host_bytes` what did not stay on the device. Throws bus::Error.
+  [[nodiscard]] bool take_pictures(const bus::TensorView& from, std::atomic<std::uint64_t>& host_bytes);
   /// Copies the pictures of a view of that size, both allocated, from whichever memory they lie in, and waits for it.
   void copy_pictures(const InputView& from);
 

@@ -30,7 +30,7 @@ bool Lead::may_write(std::int64_t now_ns) {
 std::string Lead::why_not() const {
   if (leader_.name.empty()) return "waiting for the broker";
   if (leader_.name == own_.name) return "about to write: waiting until the broker has told everybody";
-  return fmt::format("stands by: {} leads", bus::printable(leader_.name));
+  return fmt::format("samples rounds for {}, which leads", bus::printable(leader_.name));
 }
 
 }  // namespace splatbus::capture_bridge

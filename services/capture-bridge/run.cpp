@@ -6,6 +6,8 @@
 #include "bus/frames.h"
 #include "capture-bridge/capture_bridge.h"
 #include "capture-bridge/lead.h"
+#include "capture-bridge/parameters.h"
+#include "capture-bridge/round_helper.h"
 #include "wire/system_generated.h"
 
 namespace splatbus::capture_bridge {
@@ -42,7 +44,19 @@ void report(bus::ServiceContext& service, CaptureBridge& bridge) {
   service.counter("samples_thinned", static_cast<double>(input.thinned));
   service.counter("samples_dropped", static_cast<double>(input.dropped));
   service.counter("sampling_ms", input.milliseconds);
+  service.counter("helpers", static_cast<double>(bridge.sharing().helpers()));
+  service.counter("rounds_handed", static_cast<double>(bridge.sharing().handed()));
+  service.counter("rounds_came_back", static_cast<double>(bridge.sharing().came_back()));
   service.counter("host_copied_bytes", static_cast<double>(bridge.host_copied_bytes()));
+}
+
+void report(bus::ServiceContext& service, const RoundHelper& helper) {
+  const RoundHelper::Counters& counters = helper.counters();
+  service.counter("rounds_helped", static_cast<double>(counters.rounds));
+  service.counter("rounds_refused", static_cast<double>(counters.refused));
+  service.counter("samples", static_cast<double>(counters.samples));
+  service.counter("sampling_ms", counters.milliseconds);
+  service.counter("host_copied_bytes", static_cast<double>(helper.host_copied_bytes()));
 }
 
 }  // namespace
@@ -50,6 +64,7 @@ void report(bus::ServiceContext& service, CaptureBridge& bridge) {
 void run(bus::ServiceContext& service) {
   Lead lead({.since_ns = service.bus->epoch(), .name = service.bus->source()});
   std::optional<CaptureBridge> bridge;
+  std::optional<RoundHelper> helper;
   std::optional<bus::Message> newest;
   bus::Subscriber broker(service.bus);
   broker.on(topics::kLiveness, [&](const wire::Liveness& liveness, const bus::Message& message) {
@@ -61,13 +76,23 @@ void run(bus::ServiceContext& service) {
     broker.dispatch_all(std::chrono::milliseconds(0));
     if (!lead.may_write(bus::now_ns())) {
       if (bridge && !lead.is_first()) {
-        spdlog::info("{} leads: standing by", bus::printable(lead.leader().name));
+        spdlog::info("{} leads: sampling rounds for it", bus::printable(lead.leader().name));
         bridge.reset();
       }
       service.detail(lead.why_not());
-      broker.dispatch_all(kTurn);
+      if (lead.is_first() || lead.leader().name.empty()) {
+        broker.dispatch_all(kTurn);
+        continue;
+      }
+      if (!helper) {
+        const bus::LiveOptions<Options> options(service.parameters);
+        helper.emplace(service.bus, service.backend, options->round_sizes());
+      }
+      helper->step(kTurn);
+      report(service, *helper);
       continue;
     }
+    helper.reset();
     if (!bridge) {
       // As one that is started again: what the one before knew is asked for anew.
       bridge.emplace(service.bus, service.parameters, service.backend);

@@ -18,6 +18,7 @@
 #include "wire/capture_generated.h"
 #include "wire/engine_generated.h"
 #include "wire/model_generated.h"
+#include "wire/sampling_generated.h"
 #include "wire/scene_generated.h"
 #include "wire/share_generated.h"
 #include "wire/stream_generated.h"
@@ -30,8 +31,8 @@ namespace {
 
 const std::filesystem::path source_dir = SPLATBUS_SOURCE_DIR;
 const auto golden_dir = source_dir / "tests" / "golden" / "messages";
-const char* const families[] = {"common", "engine", "scene",  "capture", "model",
-                                "viewer", "system", "stream", "trace",   "share"};
+const char* const families[] = {"common", "engine", "scene", "capture", "model",   "viewer",
+                                "system", "stream", "trace", "share",   "sampling"};
 
 std::string load(const std::filesystem::path& path, bool binary) {
   std::string text;
@@ -157,6 +158,9 @@ TEST(GoldenFiles, GeneratedCodeReadsThem) {
       {"Spans", verify<wire::Spans>},
       {"TraceRequest", verify<wire::TraceRequest>},
       {"StreamShare", verify<wire::StreamShare>},
+      {"SamplingOffer", verify<wire::SamplingOffer>},
+      {"SamplingRound", verify<wire::SamplingRound>},
+      {"SamplingResult", verify<wire::SamplingResult>},
       {"Packet.Hello", verify<wire::Packet>}};
   for (const auto& [name, reads] : readers) {
     const auto bytes = load(golden_dir / (name + ".bin"), true);

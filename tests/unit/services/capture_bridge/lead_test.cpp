@@ -71,7 +71,7 @@ TEST(Lead, SaysWhoLeadsAndNeverThatItWaitsForItself) {
   Lead lead({.since_ns = 5, .name = "a"});
   EXPECT_EQ(lead.why_not(), "waiting for the broker");
   hear(lead, {bridge("a", 5), bridge("b", 4)}, kMs);
-  EXPECT_EQ(lead.why_not(), "stands by: b leads");
+  EXPECT_EQ(lead.why_not(), "samples rounds for b, which leads");
   hear(lead, {bridge("a", 5)}, 2 * kMs);
   EXPECT_FALSE(lead.may_write(2 * kMs));
   EXPECT_EQ(lead.why_not(), "about to write: waiting until the broker has told everybody");
