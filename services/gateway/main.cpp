@@ -18,7 +18,7 @@ void run(bus::ServiceContext& service) {
       options.endpoint.empty() ? gateway::Streamers(service.bus, streamer) : gateway::Streamers(streamer);
   zmq::context_t context;
   gateway::PageLibrary pages(context, streamer, options.page_cache_bytes, traffic);
-  gateway::ModelFiles models(service.bus, options.max_model_gaussians, traffic);
+  gateway::ModelFiles models(service.bus, options.max_model_gaussians, traffic, options.mip);
   gateway::Site site(options, pipeline, pages, models, traffic);
   gateway::foxglove::Service foxglove(service.bus, options);
   gateway::Server server(options, streamers, site, pages, models, foxglove.hub(), traffic);

@@ -33,10 +33,11 @@ bus::FileDescriptor nameless_file() {
   return file;
 }
 
-std::size_t write_model(const bus::FileDescriptor& file, splats::Format format, const splats::BakedModel& model) {
+std::size_t write_model(const bus::FileDescriptor& file, splats::Format format, const splats::BakedModel& model,
+                        bool mip) {
   // By its descriptor, since the writers want a stream.
   std::ofstream stream(fmt::format("/proc/self/fd/{}", file.get()), std::ios::binary | std::ios::out | std::ios::in);
-  splats::write(stream, format, model);
+  splats::write(stream, format, model, {.mip = mip});
   stream.close();
   if (!stream) throw std::runtime_error(fmt::format("the file could not be written: {}", std::strerror(errno)));
   struct stat written {};
@@ -46,8 +47,8 @@ std::size_t write_model(const bus::FileDescriptor& file, splats::Format format, 
 
 }  // namespace
 
-ModelFiles::ModelFiles(std::shared_ptr<bus::Context> context, std::size_t max_gaussians, Traffic& traffic)
-    : context_(std::move(context)), max_gaussians_(max_gaussians), traffic_(traffic) {}
+ModelFiles::ModelFiles(std::shared_ptr<bus::Context> context, std::size_t max_gaussians, Traffic& traffic, bool mip)
+    : context_(std::move(context)), max_gaussians_(max_gaussians), mip_(mip), traffic_(traffic) {}
 
 ModelFiles::~ModelFiles() = default;
 
@@ -121,7 +122,7 @@ ModelFiles::Found ModelFiles::make(splats::Format format, std::uint64_t number, 
   }
   auto made = std::make_shared<ModelFile>();
   made->file = nameless_file();
-  made->bytes = write_model(made->file, format, splats::BakedModel(model->view(), live.scene()));
+  made->bytes = write_model(made->file, format, splats::BakedModel(model->view(), live.scene()), mip_);
   made->etag = fmt::format("\"{:x}-{}\"", began_ns, number);
   return {.file = std::move(made), .problem = {}};
 }

@@ -33,8 +33,8 @@ class ModelFiles {
   static constexpr std::int64_t kFreshNs = 1'000'000'000;
   static constexpr std::size_t kMaxFiles = 8;
 
-  /// `max_gaussians`: of a larger model no file is made; 0: of none.
-  ModelFiles(std::shared_ptr<bus::Context> context, std::size_t max_gaussians, Traffic& traffic);
+  /// `max_gaussians`: of a larger model no file is made; 0: of none. `mip`: as splats::WriteOptions'.
+  ModelFiles(std::shared_ptr<bus::Context> context, std::size_t max_gaussians, Traffic& traffic, bool mip = true);
   /// Waits for the export that is under way.
   ~ModelFiles();
   ModelFiles(const ModelFiles&) = delete;
@@ -69,6 +69,7 @@ class ModelFiles {
 
   std::shared_ptr<bus::Context> context_;
   std::size_t max_gaussians_;
+  bool mip_;
   Traffic& traffic_;
   std::uint64_t number_ = 0;
   std::map<splats::Format, Made> made_;

@@ -25,6 +25,11 @@ void Options::bind(bus::ParameterBinder& p) {
   p.add("origins", origins,
         "other web origins whose pages may connect, such as https://example.org, separated by commas", kFixed);
   p.add("web_root", web_root, "folder with the page; empty: share/splatbus/web beside the program's folder", kFixed);
+  p.add("mip", mip,
+        "whether the model was trained with Mip-Splatting's filter, as ours are: what the page draws it with, and "
+        "files of "
+        "it are marked with",
+        kFixed);
   p.add("shared_caches", shared_caches,
         "with 'tokens': let shared caches, such as a CDN's, keep frozen pages and decide who gets them", kFixed);
   p.add("page_cache_mb", page_cache_bytes, "memory for frozen pages that are served again, MiB", {1, 65536}, kFixed,

@@ -40,6 +40,7 @@ struct Options {
   std::string http = "127.0.0.1:7680";
   std::string certificate, key, tokens, origins, web_root;
   bool insecure = false, shared_caches = false;
+  bool mip = true;  ///< the model is trained with the filter that RenderOptions::antialias stands for
   std::size_t page_cache_bytes = std::size_t{64} << 20;  ///< of frozen pages that are kept to be served again
   std::size_t max_model_gaussians = 4'000'000;           ///< of a model that is given away as a file; 0: none is
   Limits limits;

@@ -68,6 +68,15 @@ std::string_view agreed(const Request& request, std::initializer_list<std::strin
   return {};
 }
 
+/// The page's address with what the stream does not say, where this one does not have it: how the model was trained.
+std::optional<Response> unfiltered(std::string_view target) {
+  const std::string_view query = target.substr(std::min(target.find('?'), target.size() - 1) + 1);
+  if (any_of_list(query, '&', [](std::string_view part) { return part.starts_with("mip="); })) return std::nullopt;
+  Response response = text(302, "the page, and how it is to draw the model\n");
+  response.fields.emplace_back("Location", fmt::format("/?{}{}mip=0", query, query.empty() ? "" : "&"));
+  return response;
+}
+
 /// What a body of 200 is reduced to by what its receiver has, or wants of it.
 void reduce(const Request& request, Response& response) {
   const std::size_t bytes = response.file ? response.file->bytes : response.body ? response.body->size() : 0;
@@ -194,6 +203,9 @@ Response Site::choose(const Request& request, std::int64_t now_ns) {
                                                     : "a WebSocket of subprotocol foxglove.sdk.v1\n");
     response.fields.emplace_back("Upgrade", "websocket");
     return response;
+  }
+  if (path == "/" && !options_.mip) {
+    if (auto elsewhere = unfiltered(request.target)) return std::move(*elsewhere);
   }
   return file(path);
 }

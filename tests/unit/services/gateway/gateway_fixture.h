@@ -31,7 +31,7 @@ class RunningGateway {
         pipeline_(context),
         streamers_(streamer.empty() ? gateway::Streamers(context, "") : gateway::Streamers(streamer)),
         pages_(zmq_, streamer, options_.page_cache_bytes, traffic_),
-        models_(context, options_.max_model_gaussians, traffic_),
+        models_(context, options_.max_model_gaussians, traffic_, options_.mip),
         site_(options_, pipeline_, pages_, models_, traffic_),
         foxglove_(std::move(context), options_) {
     gateway::check(options_);

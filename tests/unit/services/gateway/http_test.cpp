@@ -67,6 +67,19 @@ TEST_F(Http, WhatABrowserHasIsNotSentAgain) {
   EXPECT_NE(get(port_, "/").field("ETag"), etag);
 }
 
+TEST_F(Http, APageThatDrawsWithoutTheFilterSaysSoInItsAddress) {
+  start({{"mip", "false"}});
+  const HttpAnswer bare = get(port_, "/");
+  EXPECT_EQ(bare.status, 302);
+  EXPECT_EQ(bare.field("Location"), "/?mip=0");
+  EXPECT_EQ(bare.field("Cache-Control"), "no-store");
+  EXPECT_EQ(get(port_, "/?").field("Location"), "/?mip=0");
+  EXPECT_EQ(get(port_, "/?gpu=webgl2&token=a").field("Location"), "/?gpu=webgl2&token=a&mip=0");
+  EXPECT_EQ(get(port_, "/?mip=0").status, 200);
+  EXPECT_EQ(get(port_, "/?gpu=webgl2&mip=1").status, 200) << "who asks for it may see it otherwise";
+  EXPECT_EQ(get(port_, "/index.html").status, 200);
+}
+
 TEST_F(Http, NothingButThePageIsServed) {
   start();
   write("web/late.txt", "came after the start");

@@ -63,6 +63,13 @@ TEST_F(Models, AreWhatAnExportWrites) {
   EXPECT_THAT(glb.body, StartsWith("glTF"));
 }
 
+TEST_F(Models, AreMarkedAsTheModelWasTrained) {
+  start_with_fake({{"mip", "false"}});
+  publish();
+  EXPECT_FALSE(splats::read_file(write("got.ply", get(port_, "/model.ply").body)).mip);
+  EXPECT_FALSE(splats::read_file(write("got.spz", get(port_, "/model.spz").body)).mip);
+}
+
 TEST_F(Models, APartIsAPartOfTheWhole) {
   start_with_fake();
   publish();
