@@ -8,6 +8,7 @@
 #include <memory>
 #include <optional>
 #include <stdexcept>
+#include <utility>
 #include <vector>
 
 #include "gl/context.h"
@@ -16,6 +17,7 @@
 #include "splat_options.h"
 #include "splats/file.h"
 #include "verbs.h"
+#include "view_page.h"
 #include "viewer/gl/file_rows.h"
 #include "viewer/gl/stage.h"
 #include "viewer/window.h"
@@ -30,6 +32,8 @@ struct ViewOptions {
   std::uint32_t width = 1280, height = 720;
   float fov_degrees = 60;
   std::vector<float> eye, target, background{0, 0, 0};
+  bool page = false;
+  std::optional<std::uint16_t> port;
 };
 
 /// A sphere about most of the means, a few of which are often far off.
@@ -140,7 +144,20 @@ void show(const Scene& scene, const std::string& title) {
   }
 }
 
+int show_in_page(const ViewOptions& options) {
+  splats::SplatFile file = splats::read_file(options.path, options.axes);
+  PageOptions page{.path = options.path, .port = options.port, .from = {}, .background = vector_of(options.background)};
+  if (!options.eye.empty() || !options.target.empty()) {
+    const Camera camera = camera_of(options, file.gaussians.view());
+    const glm::vec3 target =
+        options.target.empty() ? middle_of(file.gaussians.view()).centre : vector_of(options.target);
+    page.from = Viewpoint{.eye = camera.world_from_camera.translation, .target = target};
+  }
+  return view_in_page(std::move(file), page);
+}
+
 int view(const ViewOptions& options) {
+  if (options.page) return show_in_page(options);
   const Scene scene(options);
   if (options.out.empty()) {
     show(scene, options.path);
@@ -155,14 +172,27 @@ int view(const ViewOptions& options) {
 
 void add_view_verb(CLI::App& app, Action& action) {
   auto options = std::make_shared<ViewOptions>();
-  CLI::App* verb = app.add_subcommand("view", "Show a file of Gaussians in a window or render it to a PNG file");
+  CLI::App* verb =
+      app.add_subcommand("view", "Show a file of Gaussians in a window or a browser, or render it to a PNG file");
   verb->add_option("file", options->path, "file to show (.ply, .spz)")->required();
-  verb->add_option("--out", options->out, "PNG file to write instead of opening a window");
+  CLI::Option* const out = verb->add_option("--out", options->out, "PNG file to write instead of opening a window");
+  CLI::Option* const page = verb->add_flag("--page", options->page,
+                                           "serve it to browsers of this machine, until Ctrl-C, and print the address")
+                                ->excludes(out);
+  verb->add_option("--port", options->port,
+                   "port of --page; 0: any free one (default: 7680, or another one where that is taken)")
+      ->needs(page)
+      ->check(CLI::Range(0, 65535));
   add_axes_option(*verb, options->axes);
-  verb->add_option("--width", options->width, "width in pixels (default 1280)")->check(CLI::Range(8, 8192));
-  verb->add_option("--height", options->height, "height in pixels (default 720)")->check(CLI::Range(8, 8192));
+  verb->add_option("--width", options->width, "width in pixels (default 1280)")
+      ->check(CLI::Range(8, 8192))
+      ->excludes(page);
+  verb->add_option("--height", options->height, "height in pixels (default 720)")
+      ->check(CLI::Range(8, 8192))
+      ->excludes(page);
   verb->add_option("--fov", options->fov_degrees, "vertical field of view, degrees (default 60)")
-      ->check(CLI::Range(1, 170));
+      ->check(CLI::Range(1, 170))
+      ->excludes(page);
   const auto triple = [&](const char* name, std::vector<float>& value, const char* description) {
     verb->add_option(name, value, description)->delimiter(',')->expected(3);
   };
@@ -171,7 +201,8 @@ void add_view_verb(CLI::App& app, Action& action) {
   triple("--background", options->background, "linear background color r,g,b (default: black)");
   verb->add_option("--backend", options->backend,
                    "renderer of the PNG file: cpu, cuda, auto or gl; a window always uses OpenGL")
-      ->check(CLI::IsMember({"cpu", "cuda", "auto", "gl"}));
+      ->check(CLI::IsMember({"cpu", "cuda", "auto", "gl"}))
+      ->excludes(page);
   verb->callback([options, &action] { action = [options] { return view(*options); }; });
 }
 

@@ -52,7 +52,8 @@ void SupervisedRun::check() const {
   const auto failure = supervisor_.failure();
   if (!failure) return;
   const std::string name = failure->substr(0, failure->find(':'));
-  std::string text = fmt::format("{} (all output: {})", *failure, log_path_.string());
+  std::string text = *failure;
+  if (!log_path_.empty()) text += fmt::format(" (all output: {})", log_path_.string());
   const std::scoped_lock lock(mutex_);
   if (const auto lines = last_lines_.find(name); lines != last_lines_.end()) {
     for (const std::string& line : lines->second) text += "\n  " + line;

@@ -31,11 +31,12 @@ class PrivateBusFolder {
 };
 
 /// A supervisor on a thread of its own, for commands that do something beside the services. What these write goes to a
-/// log file.
+/// log file, if to any.
 class SupervisedRun {
  public:
-  SupervisedRun(LaunchPlan plan, const std::filesystem::path& log);  ///< starts
-  ~SupervisedRun();                                                  ///< stops every process and waits for it
+  /// Starts. `log` may be empty.
+  SupervisedRun(LaunchPlan plan, const std::filesystem::path& log);
+  ~SupervisedRun();  ///< stops every process and waits for it
   SupervisedRun(const SupervisedRun&) = delete;
   SupervisedRun& operator=(const SupervisedRun&) = delete;
 
