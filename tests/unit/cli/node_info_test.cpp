@@ -65,7 +65,8 @@ TEST_F(NodeInfoVerb, ShowsWhatAProcessDoesAndUses) {
   EXPECT_FALSE(publishes("sys/topics")) << "is the broker's";
 
   const std::string text = run({"test"});
-  for (const char* part : {"test-1 (test)\n", "state       Running: counting\n", "backend     cpu\n", "protocol    1\n",
+  const std::string protocol = "protocol    " + std::to_string(kProtocolVersion) + "\n";
+  for (const char* part : {"test-1 (test)\n", "state       Running: counting\n", "backend     cpu\n", protocol.c_str(),
                            "    rate_hz                  5\n", "    test/model               ViewerProbe/1"}) {
     EXPECT_THAT(text, HasSubstr(part));
   }
