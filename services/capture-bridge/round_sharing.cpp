@@ -108,9 +108,8 @@ void RoundSharing::hand(InputJob job, std::int64_t now_ns) {
   ++handed_;
   const InputJob& round = helper.in_hand->job;
   const bus::MessageInfo info{.capture_ns = newest_of(round).capture_ns, .tensors = ring_.write(round_tensors(round))};
-  publisher_.publish(topics::kSamplingRound, info, [&](auto& builder, auto header) {
-    return write_round(builder, header, name, last_id_, round);
-  });
+  publisher_.publish(topics::kSamplingRound, info,
+                     [&](auto& builder, auto header) { return write_round(builder, header, name, last_id_, round); });
 }
 
 std::optional<RoundSharing::Sampled> RoundSharing::answered(const wire::SamplingResult& result,
@@ -132,12 +131,12 @@ std::optional<RoundSharing::Sampled> RoundSharing::answered(const wire::Sampling
   }
   Sampled sampled{.job = helper.let_go(),
                   .result = {.tensors = {},
-                              .culled = result.culled(),
-                              .thinned = result.thinned(),
-                              .dropped = {.not_finite = result.not_finite(),
-                                          .bad_normal = result.bad_normal(),
-                                          .off_ray = result.off_ray()},
-                              .milliseconds = ms}};
+                             .culled = result.culled(),
+                             .thinned = result.thinned(),
+                             .dropped = {.not_finite = result.not_finite(),
+                                         .bad_normal = result.bad_normal(),
+                                         .off_ray = result.off_ray()},
+                             .milliseconds = ms}};
   const auto give_back = [&] {
     back_.push_back(std::move(sampled.job));
     ++came_back_;

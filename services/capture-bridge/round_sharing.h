@@ -21,9 +21,10 @@ struct Liveness;
 
 namespace splatbus::capture_bridge {
 
-/// Gives rounds of the bridge that leads to those that do not, one at a time each, so that all sample as many pixels. It
-/// keeps every round until its answer is here: whatever becomes of a helper, its round comes back, and an answer that comes after that counts for
-/// nothing. So each round is published once. Times are CLOCK_MONOTONIC nanoseconds. One thread.
+/// Gives rounds of the bridge that leads to those that do not, one at a time each, so that all sample as many pixels.
+/// It keeps every round until its answer is here: whatever becomes of a helper, its round comes back, and an answer
+/// that comes after that counts for nothing. So each round is published once. Times are CLOCK_MONOTONIC nanoseconds.
+/// One thread.
 class RoundSharing {
  public:
   /// Pictures are handed on in memory of `kind`, with room for what is to be expected of a round; none is taken before
