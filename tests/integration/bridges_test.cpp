@@ -2,10 +2,13 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <chrono>
 #include <csignal>
 #include <fstream>
 #include <functional>
 #include <map>
+#include <optional>
 #include <set>
 #include <stdexcept>
 #include <string>
@@ -17,8 +20,8 @@
 #include "down_if_killed.h"
 #include "supervised_run.h"
 #include "wire/capture_generated.h"
-#include "wire/sampling_topics.h"
 #include "wire/sampling_generated.h"
+#include "wire/sampling_topics.h"
 #include "wire/system_generated.h"
 
 namespace splatbus::cli {
@@ -125,7 +128,8 @@ class Bridges : public testing::Test {
   /// From now on.
   [[nodiscard]] bool all_sample(const std::vector<std::string>& bridges) {
     rounds_->by.clear();
-    return until([&] { return std::ranges::all_of(bridges, [&](const auto& name) { return rounds_->by[name] >= 5; }); });
+    return until(
+        [&] { return std::ranges::all_of(bridges, [&](const auto& name) { return rounds_->by[name] >= 5; }); });
   }
 
   const PrivateBusFolder folder_, files_;
