@@ -17,6 +17,7 @@
 #include "stream/model_quantizer.h"
 #include "stream/page_codec.h"
 #include "stream/page_precision.h"
+#include "stream/page_surfels.h"
 #include "stream/replica.h"
 #include "stream/replicated_state.h"
 
@@ -55,6 +56,7 @@ struct OfferedPage {
   std::uint8_t level = 0;
   bool frozen = false;
   PageBounds bounds;
+  std::shared_ptr<const PageSurfels> surfels{};  ///< null where another streamer offers it
 };
 
 /// That a Gaussian which is not there is off, weighted by attribute.
@@ -340,6 +342,7 @@ class StreamModel {
   std::uint32_t version_ = 0;   ///< of the newest page
   double appended_bytes_ = 24;  ///< a Gaussian
   std::shared_ptr<const std::vector<OfferedPage>> offered_ = std::make_shared<std::vector<OfferedPage>>();
+  std::uint64_t offered_epoch_ = 0;
   std::map<std::uint32_t, Blob> blobs_;
   std::optional<std::set<std::uint32_t>> holders_;
   std::set<std::uint32_t> asked_;  ///< pages that were sent since

@@ -96,17 +96,24 @@ void StreamModel::offer() {
     QuietPage& quiet = quiet_[target.page];
     // What rests is sent to within a step; twice as long, and nothing more will come.
     page.frozen = target.frozen && (quiet.ticks > 2 * options_.calm_ticks || !anybody_holds(target.page));
-    offered->push_back({.page = target.page,
-                        .version = page.version,
-                        .structure = page.structure,
-                        .count = page.count,
-                        .object_id = target.object_id,
-                        .level = page.level,
-                        .frozen = page.frozen,
-                        .bounds = target.bounds});
+    // What is trained moves little: the points of its Gaussians stand for it until they become others.
+    const auto before = std::ranges::lower_bound(*offered_, target.page, {}, &OfferedPage::page);
+    const bool same = offered_epoch_ == held_.epoch && before != offered_->end() && before->page == target.page &&
+                      before->structure == page.structure;
+    offered->push_back(
+        {.page = target.page,
+         .version = page.version,
+         .structure = page.structure,
+         .count = page.count,
+         .object_id = target.object_id,
+         .level = page.level,
+         .frozen = page.frozen,
+         .bounds = target.bounds,
+         .surfels = same ? before->surfels : std::make_shared<const PageSurfels>(surfels_of(held_, page))});
   }
   std::ranges::sort(*offered, {}, &OfferedPage::page);
   offered_ = std::move(offered);
+  offered_epoch_ = held_.epoch;
 }
 
 }  // namespace splatbus::stream

@@ -9,6 +9,8 @@ namespace {
 
 constexpr std::size_t kMaxDeltas = 512;
 
+constexpr std::int64_t kLookNsPerPage = 10'000;  // five times what it takes
+
 bool same_manifest(const stream::OfferedPage& a, const stream::OfferedPage& b) {
   return a.structure == b.structure && a.frozen == b.frozen && a.level == b.level;
 }
@@ -122,6 +124,12 @@ void PageBoard::forget(const std::vector<wire::SeenPage>& pages) {
     pages_.erase({page.page(), true});
     seen_.erase(page.page());
   }
+}
+
+bool PageBoard::may_look(std::int64_t now_ns) {
+  if (now_ns < next_look_ns_) return false;
+  next_look_ns_ = now_ns + static_cast<std::int64_t>(offered_->size()) * kLookNsPerPage;
+  return true;
 }
 
 double PageBoard::bytes_of(const stream::OfferedPage& page) const {

@@ -89,6 +89,8 @@ class PageBoard {
   /// Visibility of several replicas is of several scenes: its version is written anew so that none runs backwards.
   void stamp(stream::EncodedPacket& visibility);
   [[nodiscard]] std::uint64_t visibility_version() const { return visibility_version_; }
+  /// Whether somebody may look what hides what: so often that all who do take a fifth of one core at most.
+  [[nodiscard]] bool may_look(std::int64_t now_ns);
   /// Bytes of a page, as far as that is known.
   [[nodiscard]] double bytes_of(const stream::OfferedPage& page) const;
 
@@ -120,6 +122,7 @@ class PageBoard {
   std::map<std::uint32_t, ShareAnswer> seen_;  ///< of others' pages
   std::map<ShareWant, Wanted> wanted_;
   std::uint64_t visibility_version_ = 0;
+  std::int64_t next_look_ns_ = 0;
 };
 
 }  // namespace splatbus::streamer

@@ -6,6 +6,7 @@
 #include <map>
 #include <optional>
 #include <set>
+#include <unordered_map>
 #include <vector>
 
 #include "bus/token_bucket.h"
@@ -112,8 +113,12 @@ class ViewerFeed {
 
   [[nodiscard]] SharedPacket choose(stream::StreamModel& model, PageBoard& board, const std::optional<ViewerGaze>& gaze,
                                     const ObjectTransforms& objects, std::int64_t now_ns);
-  void plan(const PageBoard& board, const std::optional<ViewerGaze>& gaze, const ObjectTransforms& objects,
+  void plan(PageBoard& board, const std::optional<ViewerGaze>& gaze, const ObjectTransforms& objects,
             double budget_bytes, std::int64_t now_ns);
+  /// Which pages hide which, where some are missing and it is time to look again.
+  void look(PageBoard& board, const std::optional<ViewerGaze>& gaze, const ObjectTransforms& objects);
+  /// What a page that is missing is worth, of a weight that knows nothing of others before it.
+  [[nodiscard]] float unhidden(std::uint32_t page, float weight) const;
   void learn_delta_share(const PageBoard& board, double followed, std::int64_t since_ns);
   [[nodiscard]] double largest_packet() const;
   using Versions = std::map<std::uint32_t, std::uint32_t>;  ///< by page
@@ -143,10 +148,12 @@ class ViewerFeed {
 
   std::size_t max_gaussians_, gaussians_ = 0;
   std::map<std::uint32_t, Record> held_;
-  std::map<std::uint32_t, std::int64_t> declined_;  ///< pages, and until when they are not sent again
-  std::map<std::uint32_t, float> weights_;          ///< of the last plan
-  std::map<std::uint32_t, Missed> missed_;          ///< by page, of the last plan
-  std::vector<std::uint32_t> ended_;                ///< that it holds, and that no delta of that plan ends
+  std::map<std::uint32_t, std::int64_t> declined_;     ///< pages, and until when they are not sent again
+  std::map<std::uint32_t, float> weights_;             ///< of the last plan
+  std::unordered_map<std::uint32_t, float> seen_px2_;  ///< by page: what shows, of the last look
+  std::int64_t looked_ns_ = 0;
+  std::map<std::uint32_t, Missed> missed_;  ///< by page, of the last plan
+  std::vector<std::uint32_t> ended_;        ///< that it holds, and that no delta of that plan ends
   std::deque<SharedPacket> control_, news_, scenes_;
   bool manifest_is_due_ = false;
   struct Visibility {

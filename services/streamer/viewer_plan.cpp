@@ -4,6 +4,7 @@
 #include <cmath>
 #include <utility>
 
+#include "streamer/seen_pages.h"
 #include "streamer/viewer_feed.h"
 
 namespace splatbus::streamer {
@@ -13,7 +14,9 @@ namespace {
 // A page that is missing is worth so many of its Gaussians' absences: what it uncovers shows too, and many small steps
 // of what is held never hold it up.
 constexpr float kMissing = 16;
-constexpr float kBehindSteps = 5;          // of a page that has missed deltas which are no longer kept
+constexpr float kBehindSteps = 5;  // of a page that has missed deltas which are no longer kept
+constexpr float kHidden = 0.01F;   // of what a page would be worth if nothing hid it
+constexpr std::int64_t kLookNs = 100'000'000;
 constexpr float kLeftSteps_s = 5;          // what a page changes in a second, while no delta says it
 constexpr std::uint32_t kTicksDeltas = 2;  // that one tick may have of a page: what it is now, and its values
 constexpr double kMostDeltaShare = 2.0 / 3, kLeastDeltaShare = 0.1;  // of a viewer's rate
@@ -113,7 +116,7 @@ void ViewerFeed::plan_deltas(const PageBoard& board, Versions& versions, std::ve
   }
 }
 
-void ViewerFeed::plan(const PageBoard& board, const std::optional<ViewerGaze>& gaze, const ObjectTransforms& objects,
+void ViewerFeed::plan(PageBoard& board, const std::optional<ViewerGaze>& gaze, const ObjectTransforms& objects,
                       double budget_bytes, std::int64_t now_ns) {
   const std::int64_t before_ns = planned_ns_ != 0 ? planned_ns_ : now_ns;
   planned_ns_ = now_ns;
@@ -121,6 +124,7 @@ void ViewerFeed::plan(const PageBoard& board, const std::optional<ViewerGaze>& g
   for (const stream::OfferedPage& page : board.offered()) {
     weights_.emplace_hint(weights_.end(), page.page, page_weight(page, gaze, objects));
   }
+  look(board, gaze, objects);
   std::vector<Item> items;
   Versions versions;
   for (const auto& [page, record] : held_) versions.emplace_hint(versions.end(), page, record.version);
@@ -167,12 +171,31 @@ void ViewerFeed::plan(const PageBoard& board, const std::optional<ViewerGaze>& g
     // missed.
     const float behind = stream::kAbsentSteps * std::log1p(off / stream::kAbsentSteps);
     const float steps = held != held_.end() ? behind : kMissing * stream::kAbsentSteps;
+    const float worth = held != held_.end() ? weight : unhidden(page.page, weight);
     items.push_back(
-        {.score = weight * steps / static_cast<float>(bytes), .bytes = bytes, .delta = 0, .page = page.page});
+        {.score = worth * steps / static_cast<float>(bytes), .bytes = bytes, .delta = 0, .page = page.page});
   }
   was_whole_ = was_whole_ || (!lacks && !held_.empty());
   learn_delta_share(board, followed / std::max(all, 1e-9), planned_ns_ - before_ns);
   order(std::move(items), budget_bytes);
+}
+
+void ViewerFeed::look(PageBoard& board, const std::optional<ViewerGaze>& gaze, const ObjectTransforms& objects) {
+  if (!gaze || held_.size() >= board.offered().size()) return;
+  if (looked_ns_ != 0 && planned_ns_ - looked_ns_ < kLookNs) return;
+  if (!board.may_look(planned_ns_)) return;
+  looked_ns_ = planned_ns_;
+  seen_px2_ = seen_areas_px2(board.offered(), gaze->now, objects);
+  if (gaze->soon == gaze->now) return;
+  for (const auto& [page, area_px2] : seen_areas_px2(board.offered(), gaze->soon, objects)) {
+    float& greatest = seen_px2_[page];
+    greatest = std::max(greatest, area_px2);
+  }
+}
+
+float ViewerFeed::unhidden(std::uint32_t page, float weight) const {
+  const auto seen = seen_px2_.find(page);
+  return seen != seen_px2_.end() ? std::max(seen->second, kHidden * weight) : weight;
 }
 
 // A page that has missed much costs fewer bytes whole than all that it has missed, so that deltas which are made before
