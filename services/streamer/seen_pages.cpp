@@ -9,7 +9,7 @@ namespace splatbus::streamer {
 
 namespace {
 
-constexpr float kSide_px = 128;   // of the small picture, the longer one
+constexpr float kSide_px = 128;  // of the small picture, the longer one
 constexpr float kCovers = 1.1F;  // of a disc's radius: points are scattered, and discs of the surface's area leave gaps
 
 /// A page's point in the small picture.
@@ -59,7 +59,8 @@ std::unordered_map<std::uint32_t, float> seen_areas_px2(std::span<const stream::
                                                         const Camera& camera, const ObjectTransforms& objects) {
   const auto width = static_cast<float>(camera.width), height = static_cast<float>(camera.height);
   const float small = kSide_px / std::max(width, height);
-  const int columns = std::max(1, static_cast<int>(width * small)), rows = std::max(1, static_cast<int>(height * small));
+  const int columns = std::max(1, static_cast<int>(width * small)),
+            rows = std::max(1, static_cast<int>(height * small));
   const Rigid camera_from_world = inverse(camera.world_from_camera);
   std::unordered_map<std::uint32_t, float> areas;
   Nearest nearest(columns, rows);
