@@ -48,7 +48,8 @@ cv::Mat draw(raster::Rasterizer& rasterizer, const GaussiansView& gaussians, con
 class Server {
  public:
   Server(const Options& options, const TownScene& town, const std::string& endpoint)
-      : door_({endpoint}), hub_(door_, model_, writer_, {.viewer_kbps = options.kbps},
+      : door_({endpoint}),
+        hub_(door_, model_, writer_, {.viewer_kbps = options.kbps},
              {.pose = [](const auto&, const auto&) {}, .probe = {}, .quality = {}}) {
     const std::int64_t begin = bus::now_ns();
     (void)model_.observe(town.model.view());
@@ -156,7 +157,8 @@ void run(const Options& options) {
   for (std::size_t k = 0; k < town.walk.size(); ++k) {
     const cv::Mat whole = draw(*rasterizer, town.model.view(), town.walk[k], town.scene);
     const auto save = [&](const std::string& name, const cv::Mat& picture) {
-      if (!options.pictures.empty()) metrics::write_png(fmt::format("{}/{}_{}.png", options.pictures, k, name), picture);
+      if (!options.pictures.empty())
+        metrics::write_png(fmt::format("{}/{}_{}.png", options.pictures, k, name), picture);
     };
     save("whole", whole);
     Held held(joins[k]);

@@ -13,10 +13,10 @@ namespace splatbus::bench {
 
 namespace {
 
-constexpr float kPatch_m = 1.5F;      // edges of what has one density
-constexpr float kNear_m = 3;          // of the walk, within which Gaussians are densest
-constexpr float kSpread = 0.55F;      // deviation of a disk, of the distance to its neighbours
-constexpr float kThickness = 0.1F;    // of the other deviations
+constexpr float kPatch_m = 1.5F;    // edges of what has one density
+constexpr float kNear_m = 3;        // of the walk, within which Gaussians are densest
+constexpr float kSpread = 0.55F;    // deviation of a disk, of the distance to its neighbours
+constexpr float kThickness = 0.1F;  // of the other deviations
 constexpr float kOpacityLogit = 3.5F;
 constexpr std::size_t kWalkStride = 4;  // points of the walk that distances are taken to, 2 m apart
 
@@ -98,7 +98,8 @@ bool albedo_at(const sim::Scene& scene, int material_index, glm::vec2 uv, glm::v
   const auto at = [](float t, std::uint32_t n) {
     return std::min(static_cast<std::uint32_t>(t * static_cast<float>(n)), n - 1);
   };
-  const std::uint8_t* texel = &image.rgba[4 * (std::size_t{at(uv.y, image.height)} * image.width + at(uv.x, image.width))];
+  const std::uint8_t* texel =
+      &image.rgba[4 * (std::size_t{at(uv.y, image.height)} * image.width + at(uv.x, image.width))];
   if (static_cast<float>(texel[3]) / 255 < material.alpha_cutoff) return false;
   for (int c = 0; c < 3; ++c) albedo[c] *= linear_from_srgb(static_cast<float>(texel[c]) / 255);
   return true;

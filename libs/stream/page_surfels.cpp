@@ -41,8 +41,8 @@ PageSurfels surfels_of(const ReplicatedState& state, const HeldPage& page) {
   for (std::size_t k = 0; k < count; ++k) {
     glm::vec3 point;
     for (int c = 0; c < 3; ++c) {
-      const std::int32_t value = state.gaussians.channels[static_cast<std::size_t>(mean.first + c)]
-                                                         [solid[k * solid.size() / count]];
+      const std::int32_t value =
+          state.gaussians.channels[static_cast<std::size_t>(mean.first + c)][solid[k * solid.size() / count]];
       point[c] = mean.quantizer.offset + mean.quantizer.step * static_cast<float>(value);
     }
     surfels.points_m.push_back(point);
