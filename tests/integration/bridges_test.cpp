@@ -5,7 +5,6 @@
 #include <algorithm>
 #include <chrono>
 #include <csignal>
-#include <fstream>
 #include <functional>
 #include <map>
 #include <optional>
@@ -16,9 +15,7 @@
 #include <vector>
 
 #include "bus/subscriber.h"
-#include "command.h"
-#include "down_if_killed.h"
-#include "supervised_run.h"
+#include "operated_bus.h"
 #include "wire/capture_generated.h"
 #include "wire/sampling_generated.h"
 #include "wire/sampling_topics.h"
@@ -89,26 +86,10 @@ class Rounds {
   std::map<std::string, std::map<std::string, double>> counters_;
 };
 
-class Bridges : public testing::Test {
+class Bridges : public OperatedBus {
  protected:
-  ~Bridges() override {
-    if (is_up_) (void)splatbus_command({"down", "--bus", bus()});
-  }
-  [[nodiscard]] std::string bus() const { return folder_.address().text(); }
-  Answer run(std::vector<std::string> verb) const {
-    verb.insert(verb.end(), {"--bus", bus()});
-    return splatbus_command(verb);
-  }
-  void expect_success(const std::vector<std::string>& verb) const {
-    const Answer answer = run(verb);
-    EXPECT_TRUE(answer.status.success()) << testing::PrintToString(verb) << testing::PrintToString(answer.lines);
-  }
-  void up() {
-    const std::string file = (files_.path() / "bridges.yaml").string();
-    std::ofstream(file) << kLaunchFile;
-    is_up_ = true;
-    const Answer answer = run({"up", "-d", file});
-    ASSERT_TRUE(answer.status.success()) << testing::PrintToString(answer.lines);
+  void up_and_listen() {
+    ASSERT_NO_FATAL_FAILURE(up(kLaunchFile));
     rounds_.emplace(folder_.address());
   }
   [[nodiscard]] pid_t pid_of(const std::string& name) const {
@@ -132,14 +113,11 @@ class Bridges : public testing::Test {
         [&] { return std::ranges::all_of(bridges, [&](const auto& name) { return rounds_->by[name] >= 5; }); });
   }
 
-  const PrivateBusFolder folder_, files_;
-  const DownIfKilled down_if_killed_{bus()};
-  bool is_up_ = false;
   std::optional<Rounds> rounds_;
 };
 
 TEST_F(Bridges, ShareSamplingWhileAnyOfThemDiesIsStoppedComesOrGoes) {
-  ASSERT_NO_FATAL_FAILURE(up());
+  ASSERT_NO_FATAL_FAILURE(up_and_listen());
   ASSERT_TRUE(all_sample({kFirst, kSecond}));
   ASSERT_EQ(rounds_->writers.size(), 1U);
   const std::string lead = rounds_->writers.back(), helper = lead == kFirst ? kSecond : kFirst;

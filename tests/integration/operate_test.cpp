@@ -11,11 +11,9 @@
 
 #include "bus/file_descriptor.h"
 #include "child_process.h"
-#include "command.h"
-#include "down_if_killed.h"
 #include "gateway_url.h"
+#include "operated_bus.h"
 #include "pipeline.h"
-#include "supervised_run.h"
 
 namespace splatbus::cli {
 namespace {
@@ -27,32 +25,8 @@ using testing::HasSubstr;
 
 constexpr std::chrono::seconds kPatience(90);
 
-/// `splatbus up -d`, and `down` at the end whatever happens.
-class OperatedPipeline : public testing::Test {
+class OperatedPipeline : public OperatedBus {
  protected:
-  ~OperatedPipeline() override {
-    if (is_up_) (void)splatbus_command({"down", "--bus", bus()});
-  }
-
-  [[nodiscard]] std::string bus() const { return folder_.address().text(); }
-  [[nodiscard]] std::string file() const { return (files_.path() / "day.yaml").string(); }
-
-  Answer run(std::vector<std::string> verb) const {
-    verb.insert(verb.end(), {"--bus", bus()});
-    return splatbus_command(verb);
-  }
-  void expect_success(const std::vector<std::string>& verb) const {
-    const Answer answer = run(verb);
-    EXPECT_TRUE(answer.status.success()) << testing::PrintToString(verb) << testing::PrintToString(answer.lines);
-  }
-
-  void up(const std::string& yaml) {
-    std::ofstream(file()) << yaml;
-    is_up_ = true;
-    const Answer answer = run({"up", "-d", file()});
-    ASSERT_TRUE(answer.status.success()) << testing::PrintToString(answer.lines);
-  }
-
   /// Of `status --json`, by process.
   [[nodiscard]] std::map<std::string, Json> status() const {
     std::map<std::string, Json> result;
@@ -75,10 +49,6 @@ class OperatedPipeline : public testing::Test {
     const auto found = processes.find(name);
     return found == processes.end() ? 0 : found->second.value("pid", 0);
   }
-
-  const PrivateBusFolder folder_, files_;
-  const DownIfKilled down_if_killed_{bus()};
-  bool is_up_ = false;
 };
 
 TEST_F(OperatedPipeline, EveryVerbOnALivePipeline) {
