@@ -19,6 +19,7 @@
 #include "raster/rasterizer.h"
 #include "stream/display_gaussians.h"
 #include "stream/follower.h"
+#include "streamer/seen_pages.h"
 #include "streamer/viewer_hub.h"
 
 namespace splatbus::bench {
@@ -58,13 +59,19 @@ class Server {
     if (const auto scene = model_.take_scene(town.scene, {})) hub_.add_scene(*scene);
     fmt::print("{} Gaussians in {} pages, offered after {:.1f} s\n", hub_.gaussians(), hub_.pages(),
                seconds_since(begin));
+    for (const Camera& camera : town.walk) {
+      const std::int64_t looks = bus::thread_cpu_ns();
+      (void)streamer::seen_areas_px2(*model_.offered(), camera, {});
+      fmt::print("to look what hides what takes {:.1f} ms\n", static_cast<double>(bus::thread_cpu_ns() - looks) * 1e-6);
+    }
     thread_ = std::jthread([this](const std::stop_token& stop) {
       while (!stop.stop_requested()) {
         const std::int64_t now = bus::now_ns();
         hub_.receive(now);
         hub_.expire(now);
         const bool waits = hub_.pump(now);
-        std::this_thread::sleep_for(std::chrono::milliseconds(waits ? 1 : 2));
+        std::vector<zmq::pollitem_t> items{{door_.socket(), 0, ZMQ_POLLIN, 0}};
+        zmq::poll(items, std::chrono::milliseconds(waits ? 1 : 100));
       }
     });
   }
