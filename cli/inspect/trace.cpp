@@ -2,10 +2,12 @@
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
+#include <filesystem>
 #include <fstream>
 #include <memory>
 #include <set>
 #include <stdexcept>
+#include <system_error>
 
 #include "bus/publisher.h"
 #include "bus/subscriber.h"
@@ -107,12 +109,21 @@ void print_way(const std::vector<TracedSpan>& spans) {
   }
 }
 
+/// Asked before the time is spent. What the file holds stays until there is something newer, and none is left behind
+/// where there was none.
+void require_writable(const std::string& path) {
+  std::error_code ignored;
+  const bool is_new = !std::filesystem::exists(path, ignored);
+  if (!std::ofstream(path, std::ios::app)) throw std::runtime_error(fmt::format("cannot write {}", path));
+  if (is_new) std::filesystem::remove(path, ignored);
+}
+
 int trace(const TraceOptions& options) {
   const StopSignals signals;
   const auto context = connect_here(options);
-  // Whether it can be written is asked before the time is spent; what it holds stays until there is something newer.
-  if (!std::ofstream(options.out, std::ios::app)) throw std::runtime_error(fmt::format("cannot write {}", options.out));
+  require_writable(options.out);
   Collected collected = collect(options, context, signals);
+  if (collected.spans.empty()) throw std::runtime_error("no process has said what it did, so there is no trace");
   assign_frames(collected.spans);
   std::ofstream file(options.out, std::ios::trunc);
   file << json_text(trace_events(collected.spans)) << '\n';
@@ -124,7 +135,7 @@ int trace(const TraceOptions& options) {
   print(fmt::format("{}: {} spans of {} processes{}; open it at https://ui.perfetto.dev", options.out,
                     collected.spans.size(), sources.size(),
                     collected.lost > 0 ? fmt::format(", {} lost", collected.lost) : ""));
-  return collected.spans.empty() ? 1 : 0;
+  return 0;
 }
 
 }  // namespace

@@ -1,5 +1,6 @@
 #include <gmock/gmock.h>
 
+#include <filesystem>
 #include <fstream>
 #include <set>
 
@@ -134,6 +135,18 @@ TEST_F(TraceVerb, KeepsTheEarlierTraceWhereThereIsNoBus) {
   const std::string path = directory_.path() + "/trace.json";
   std::ofstream(path) << "earlier";
   const std::vector<std::string> arguments{"trace", "--out", path, "--bus", directory_.address().text()};
+  EXPECT_THROW(run_verb(add_trace_verb, arguments), std::runtime_error);
+  std::ifstream file(path);
+  EXPECT_EQ(std::string(std::istreambuf_iterator<char>(file), {}), "earlier");
+}
+
+TEST_F(TraceVerb, LeavesNoFileWhereNothingWasTraced) {
+  const std::string path = directory_.path() + "/trace.json";
+  const std::vector<std::string> arguments{
+      "trace", "--seconds", "0.1", "--out", path, "--bus", directory_.address().text()};
+  EXPECT_THROW(run_verb(add_trace_verb, arguments), std::runtime_error);
+  EXPECT_FALSE(std::filesystem::exists(path));
+  std::ofstream(path) << "earlier";
   EXPECT_THROW(run_verb(add_trace_verb, arguments), std::runtime_error);
   std::ifstream file(path);
   EXPECT_EQ(std::string(std::istreambuf_iterator<char>(file), {}), "earlier");
