@@ -9,6 +9,7 @@
 
 #include "bus/error.h"
 #include "bus/keys.h"
+#include "bus/service.h"
 #include "bus_probe.h"
 #include "bus_watch.h"
 #include "checks.h"
@@ -23,6 +24,29 @@ namespace {
 namespace fs = std::filesystem;
 using Verdict = Check::Verdict;
 constexpr double kPatienceS = 3;
+
+/// What to do about these, which speak another protocol. A successor is no process that could be restarted: the swap
+/// that started it refuses it.
+std::string advice_for(const std::vector<std::string>& sources) {
+  static const std::string ending = bus::successor_name("");
+  std::vector<std::string> services, predecessors;
+  for (const std::string& source : sources) {
+    if (source.ends_with(ending))
+      predecessors.push_back(source.substr(0, source.size() - ending.size()));
+    else
+      services.push_back(source);
+  }
+  std::string advice;
+  if (!services.empty()) {
+    advice =
+        fmt::format("start them again with programs of one version: splatbus restart {}", fmt::join(services, " "));
+  }
+  for (const std::string& name : predecessors) {
+    advice += fmt::format("{}swap to a program of our version: splatbus swap {} --program PATH",
+                          advice.empty() ? "" : "; ", name);
+  }
+  return advice;
+}
 
 }  // namespace
 
@@ -100,8 +124,7 @@ Check check_bus(const bus::Address& bus) {
     if (!others.empty()) {
       check.verdict = Verdict::Fail;
       check.found += fmt::format("; of another protocol than our {}: {}", kProtocolVersion, fmt::join(others, ", "));
-      check.advice =
-          fmt::format("start them again with programs of one version: splatbus restart {}", fmt::join(names, " "));
+      check.advice = advice_for(names);
     } else if (!gone.empty()) {
       check.verdict = Verdict::Warn;
       check.found += fmt::format("; not alive: {}", fmt::join(gone, ", "));
