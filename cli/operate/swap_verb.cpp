@@ -10,6 +10,7 @@
 #include <nlohmann/json.hpp>
 #include <utility>
 
+#include "bus/clock.h"
 #include "parameter_check.h"
 #include "substitution.h"
 #include "swap.h"
@@ -20,7 +21,6 @@ namespace {
 
 using Json = nlohmann::json;
 constexpr double kLeaveWithinS = 10;
-constexpr std::chrono::seconds kGonePatience(20);
 
 /// A swap among a supervisor's processes.
 class SupervisorSwapHost final : public SwapHost {
@@ -120,19 +120,23 @@ void swap_broker(const Operated& operated, const ProcessPlan& before, const Proc
 }
 
 /// The one before the last swap may still be on its way out.
-void wait_until_alone(const Supervisor& supervisor, const std::string& name, const std::stop_token& stop) {
+void wait_until_alone(const Supervisor& supervisor, const std::string& name, double wait_s,
+                      const std::stop_token& stop) {
   const auto alone = [&](const std::vector<ProcessStatus>& all) {
     return std::ranges::none_of(all,
                                 [&](const ProcessStatus& process) { return process.name == name && process.beside; });
   };
-  if (supervisor.wait_until(alone, kGonePatience, stop)) return;
-  throw std::runtime_error(fmt::format("'{}' still has another process beside it", name));
+  if (supervisor.wait_until(alone, std::chrono::duration<double>(wait_s), stop)) return;
+  throw std::runtime_error(
+      fmt::format("the process of '{}' before the last swap has not ended within {:.3g} s", name, wait_s));
 }
 
 void swap_one(const Operated& operated, const std::string& name, const std::shared_ptr<bus::Context>& bus,
               const Json& request, const ControlServer::Tell& tell, const std::stop_token& stop) {
-  const SwapLimits limits{.ready_s = request.value("wait_s", SwapLimits{}.ready_s)};
-  wait_until_alone(operated.supervisor, name, stop);
+  SwapLimits limits{.ready_s = request.value("wait_s", SwapLimits{}.ready_s)};
+  const std::int64_t begin_ns = bus::now_ns();
+  wait_until_alone(operated.supervisor, name, limits.ready_s, stop);
+  limits.ready_s -= static_cast<double>(bus::now_ns() - begin_ns) * 1e-9;  // one limit for both
   const ProcessPlan before = operated.supervisor.plan_of(name);
   const ProcessPlan changed = changed_plan(before, request);
   if (before.broker) return swap_broker(operated, before, changed, limits.ready_s, tell, stop);

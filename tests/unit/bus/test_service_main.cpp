@@ -1,5 +1,6 @@
 // A service for the tests of service_main and of processes that die: it makes a slab, publishes where it lies, and
 // counts until it is stopped.
+#include <chrono>
 #include <cstring>
 #include <stdexcept>
 #include <thread>
@@ -21,14 +22,18 @@ struct Options {
   bool fail = false;
   double rate_hz = 5;
   std::string fixed = "a";
+  double linger_s = 0;
 
   void bind(bus::ParameterBinder& p) {
     p.add("number", number, "what it publishes, a count");
     p.add("fail", fail, "makes it fail");
     p.add("rate_hz", rate_hz, "hertz", {1, 10});
     p.add("fixed", fixed, "a name", bus::kFixed);
+    p.add("linger_s", linger_s, "for how long the process stays when the service has ended, s", {0, 1000});
   }
 };
+
+std::chrono::duration<double> linger{0};
 
 void publish_model(bus::ServiceContext& service, bus::Publisher& publisher, bus::Slab& slab) {
   const bus::MessageInfo info{.capture_ns = 0, .latch_key = {}, .tensors = {bus_test::write_floats(slab, {1, 2, 3})}};
@@ -44,6 +49,7 @@ void run(bus::ServiceContext& service) {
   if (!service.take_over([&] { static_cast<void>(kept.receive(std::chrono::milliseconds(10))); })) return;
   service.ready();
   service.detail("counting");
+  linger = std::chrono::duration<double>(service.parameters.read<Options>().linger_s);
   if (service.parameters.read<Options>().fixed.size() > 100) service.counter(std::string(300, 'n'), 1);
   const auto mortal = service.bus->create_slab("frames", 1, 4096);
   const auto slab = service.bus->create_slab("model", 1, 4096, 10000, splatbus::Device::Cpu,
@@ -67,5 +73,7 @@ int main(int argc, char** argv) {
       .parameters = bus::Parameters::declare<Options>(),
       .stands_by = true,
   };
-  return bus::service_main(argc, argv, description, run);
+  const int status = bus::service_main(argc, argv, description, run);
+  std::this_thread::sleep_for(linger);
+  return status;
 }

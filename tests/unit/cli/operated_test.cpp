@@ -180,6 +180,17 @@ TEST_F(SwappedService, ReplicasThatWereSwappedOneByOneAreTheServiceInTheEnd) {
   EXPECT_TRUE(has_number("test-4", "9"));
 }
 
+TEST_F(SwappedService, TheOneBeforeIsWaitedForNoLongerThanTheCommandSays) {
+  up("services:\n  - name: test\n    program: '" SPLATBUS_BIN_DIR
+     "/bus-test-service'\n    parameters: {linger_s: 1000}\n");
+  ASSERT_TRUE(wait_for_state("test", ProcessState::Running));
+  static_cast<void>(ask({{"verb", "swap"}, {"service", "test"}}));
+  const auto begin = std::chrono::steady_clock::now();
+  EXPECT_THAT(refusal({{"verb", "swap"}, {"service", "test"}, {"wait_s", 0.5}}),
+              HasSubstr("before the last swap has not ended within 0.5 s"));
+  EXPECT_LT(std::chrono::steady_clock::now() - begin, 5s);
+}
+
 TEST_F(OperatedTest, HowLongAnEndMayTakeIsWhatItsProcessesMay) {
   up("services:\n"
      "  - {name: slow, program: /bin/sleep, args: ['1000'], heartbeat_timeout_s: 0, stop_timeout_s: 120, replicas: 2}\n"
