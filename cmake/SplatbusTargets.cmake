@@ -148,6 +148,10 @@ endfunction()
 # would spend on it.
 function(splatbus_compile_sooner target)
   target_compile_options(${target} PRIVATE $<$<AND:$<COMPILE_LANGUAGE:CXX>,$<CONFIG:Release>>:-O1>)
+  # On x86 GCC 13 has another default for it at -O1, and takes no header that was precompiled with the other.
+  if(CMAKE_CXX_COMPILER_ID STREQUAL "GNU" AND CMAKE_CXX_COMPILER_VERSION VERSION_GREATER_EQUAL 13 AND CMAKE_SYSTEM_PROCESSOR MATCHES "x86|AMD64")
+    target_compile_options(${target} PRIVATE $<$<AND:$<COMPILE_LANGUAGE:CXX>,$<CONFIG:Release>>:-munroll-only-small-loops>)
+  endif()
 endfunction()
 
 # splatbus_service(NAME SOURCES a.cpp ... DEPENDS target ...): the static library splatbus_service_NAME of all sources,

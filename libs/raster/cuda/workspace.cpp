@@ -112,12 +112,12 @@ bool Workspace::reserve(const WorkspaceRequest& request) {
   if (memory_.size() > 0 && request == request_) return false;
   check_limits(request);
   view_ = shape_of(request);
-  constexpr std::size_t kAlignment = 256;
+  constexpr std::size_t kArrayAlignment = 256;
   std::size_t k = 0;
   Sizes room = room_;
   for_each_array(request, view_, [&]<class T>(T*&, std::size_t elements) {
     assert(k < kMaxArrays);
-    room[k] = std::max(room[k], (elements * sizeof(T) + kAlignment - 1) / kAlignment * kAlignment);
+    room[k] = std::max(room[k], (elements * sizeof(T) + kArrayAlignment - 1) / kArrayAlignment * kArrayAlignment);
     ++k;
   });
   const bool grows = room != room_;
