@@ -1,8 +1,10 @@
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <algorithm>
 #include <nlohmann/json.hpp>
 #include <optional>
+#include <set>
 
 #include "deploy_plan.h"
 #include "yaml_text.h"
@@ -260,6 +262,14 @@ std::string kubernetes_text(const DeployPlan& plan, const DeployOptions& options
   std::string text =
       "# Written by 'splatbus export kubernetes'. Keys and tokens are those of the secret splatbus-keys:\n"
       "# docs/scale.md.\n";
+  // A container's share of the processor comes of what it requests, in cores, which a nice value does not say.
+  std::set<std::string> nice;
+  for (const auto* processes : {&plan.local, &plan.remote}) {
+    for (const DeployProcess& process : *processes) {
+      if (process.nice > 0) nice.insert(process.service);
+    }
+  }
+  if (!nice.empty()) text += fmt::format("# Kubernetes knows no nice, which these had: {}.\n", fmt::join(nice, ", "));
   for (const Json& document : documents) text += "---\n" + yaml_text(document);
   return text;
 }

@@ -104,7 +104,9 @@ assert.ok(volumes.world !== undefined);
 assert.ok(services.trainer.command.includes("note=$$literal"));
 assert.equal(services.trainer.cpu_shares, 336, "as nice(1) weighs: 1024 / 1.25^5");
 
-const objects = parseAllDocuments(run("kubernetes", ...files[0])).map((document) => document.toJS());
+const manifests = run("kubernetes", ...files[0]);
+assert.ok(manifests.includes("\n# Kubernetes knows no nice, which these had: trainer.\n"));
+const objects = parseAllDocuments(manifests).map((document) => document.toJS());
 const find = (kind, name) => objects.find((object) => object.kind === kind && object.metadata.name === name);
 const pod = find("Deployment", "two-machines").spec.template.spec;
 assert.equal(pod.shareProcessNamespace, true);
