@@ -234,3 +234,13 @@ function(splatbus_test name)
   set_tests_properties(${name} PROPERTIES LABELS "${ARG_LABEL}" TIMEOUT ${ARG_TIMEOUT}
                                           ENVIRONMENT "${SPLATBUS_TEST_ENVIRONMENT}")
 endfunction()
+
+# splatbus_one_at_a_time(TEST ...): tests of whole pipelines and of browsers. Two of them at once would be more than their
+# bounds on progress are for; one beside a test of a single process is not, and leaves it a core while it waits. They begin
+# first, so that there is something left to run beside each.
+function(splatbus_one_at_a_time)
+  set_tests_properties(${ARGN} PROPERTIES RESOURCE_LOCK machine COST 1000)
+  if(SPLATBUS_SANITIZE)
+    set_tests_properties(${ARGN} PROPERTIES RUN_SERIAL TRUE)
+  endif()
+endfunction()
