@@ -47,7 +47,7 @@ Context::Impl::Impl(Address bus_address, std::string source_name)
       epoch(static_cast<std::uint64_t>(now_ns())),
       keys(keys_of(address)),
       slabs(address.is_local() ? std::make_unique<SlabClient>(address.slab_socket()) : nullptr),
-      outbox(zmq, address, keys) {}
+      outbox(zmq, address, keys, slabs.get()) {}
 
 void Context::Impl::forget_unused(std::int64_t now) {
   std::erase_if(cache, [&](const auto& entry) {

@@ -17,14 +17,17 @@ constexpr std::size_t max_latched_messages = 8192;
 constexpr std::size_t max_latched_bytes = std::size_t{256} << 20;
 constexpr std::size_t max_pending_messages = 512;
 constexpr std::size_t max_pending_bytes = std::size_t{32} << 20;
-constexpr int poll_ms = 100;  // a net below the edge-triggered ZMQ_FD
+constexpr int poll_ms = 100;     // a net below the edge-triggered ZMQ_FD
+constexpr int held_poll_ms = 2;  // while slabs are being registered
+constexpr std::int64_t longest_hold_ns = 1'000'000'000;
 constexpr std::chrono::milliseconds linger{500};
 constexpr std::int64_t read_period_ns = 1'000'000;  // while messages leave
 
 }  // namespace
 
-Outbox::Outbox(zmq::context_t& context, const Address& address, const std::optional<ClientKeys>& keys)
-    : socket_(context, zmq::socket_type::xpub), latched_(max_latched_messages, max_latched_bytes) {
+Outbox::Outbox(zmq::context_t& context, const Address& address, const std::optional<ClientKeys>& keys,
+               SlabClient* slabs)
+    : slabs_(slabs), socket_(context, zmq::socket_type::xpub), latched_(max_latched_messages, max_latched_bytes) {
   configure_socket(socket_, address.is_local());
   socket_.set(zmq::sockopt::xpub_verbose, true);
   // A pipe that lives only while connected: losing the broker shows as an unsubscription, and nothing piles up unseen.
@@ -46,6 +49,7 @@ void Outbox::close() {
     std::unique_lock lock(mutex_);
     if (closed_) return;
     if (waiting_) connected_changed_.wait_for(lock, linger, [this] { return connected_; });
+    if (reached_ && !connected_) catch_up();  // late, rather than never
     closed_ = true;
   }
   thread_.request_stop();
@@ -96,11 +100,13 @@ void Outbox::run(const std::stop_token& stop) {
     const std::scoped_lock lock(mutex_);
     return static_cast<int>(socket_.get(zmq::sockopt::fd));
   }();
+  bool holds = false;
   while (!stop.stop_requested()) {
     pollfd fds[2] = {{events, POLLIN, 0}, {wake_.get(), POLLIN, 0}};
-    ::poll(fds, 2, poll_ms);
+    ::poll(fds, 2, holds ? held_poll_ms : poll_ms);
     const std::scoped_lock lock(mutex_);
     read_subscriptions();
+    holds = reached_ && !connected_;
   }
 }
 
@@ -116,10 +122,22 @@ void Outbox::read_subscriptions() {
     if (event.empty()) continue;
     const auto kind = *event.data<std::uint8_t>();
     if (kind > 1) continue;
-    connected_ = kind == 1;
-    if (connected_) catch_up();
-    connected_changed_.notify_all();
+    connected_ = false;
+    reached_ = kind == 1;
+    reached_ns_ = read_ns_;
+    if (reached_ && slabs_ != nullptr) slabs_->look();
   }
+  if (reached_ && !connected_) greet();
+}
+
+// A latched message is lost to a reader who hears of it before the broker knows the slab that it points into. Nothing
+// is held for ever: where the registry takes no slabs, messages without any are worth more.
+void Outbox::greet() {
+  const bool registered = slabs_ == nullptr || slabs_->has_registered_all();
+  if (!registered && now_ns() - reached_ns_ < longest_hold_ns) return;
+  connected_ = true;
+  catch_up();
+  connected_changed_.notify_all();
 }
 
 void Outbox::catch_up() {

@@ -16,17 +16,20 @@
 #include "bus/file_descriptor.h"
 #include "bus/frames.h"
 #include "bus/latch_store.h"
+#include "bus/slab_client.h"
 
 namespace splatbus::bus {
 
 /// The one publishing socket of a Context, shared by its Publishers under a mutex. It is an XPUB, so that it sees the
 /// broker's subscription: that is the sign that the broker is there, or is there again. What was published before then
-/// waits here, bounded, and each new connection is first told every latched message again.
+/// waits here, bounded, and each new connection is first told every latched message again: once the broker has the
+/// slabs that they point into, or has not taken them for a second.
 ///
 /// Never logs: the log itself is published through it.
 class Outbox {
  public:
-  Outbox(zmq::context_t& context, const Address& address, const std::optional<ClientKeys>& keys);
+  /// `slabs`: of this process, which outlive this; null where there are none.
+  Outbox(zmq::context_t& context, const Address& address, const std::optional<ClientKeys>& keys, SlabClient* slabs);
   ~Outbox();
   Outbox(const Outbox&) = delete;
   Outbox& operator=(const Outbox&) = delete;
@@ -48,12 +51,17 @@ class Outbox {
   void run(const std::stop_token& stop);
   void read_subscriptions();
   void read_subscriptions_if_due();
+  void greet();
   void catch_up();
 
+  SlabClient* const slabs_;
   std::mutex mutex_;
   std::condition_variable connected_changed_;
   zmq::socket_t socket_;
-  bool connected_ = false, closed_ = false;
+  bool reached_ = false;    ///< by a broker's subscription
+  bool connected_ = false;  ///< and it has been told what it had to be
+  bool closed_ = false;
+  std::int64_t reached_ns_ = 0;
   std::int64_t read_ns_ = 0;  ///< when subscriptions were last read
   std::uint64_t next_order_ = 1;
   std::map<std::string, std::uint64_t> sequences_;

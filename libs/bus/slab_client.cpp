@@ -22,6 +22,7 @@ constexpr std::chrono::milliseconds first_pause{50};
 constexpr std::chrono::milliseconds longest_pause{1000};
 constexpr timeval answer_timeout{2, 0};
 constexpr std::chrono::milliseconds claim_pause{5};
+constexpr std::chrono::milliseconds look_timeout{100};
 
 FileDescriptor connect_to(const std::string& path) {
   FileDescriptor socket(::socket(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0));
@@ -55,6 +56,24 @@ SlabClient::~SlabClient() {
   thread_.request_stop();
   ::eventfd_write(wake_.get(), 1);
   thread_.join();
+}
+
+void SlabClient::look() {
+  ++looks_wanted_;
+  ::eventfd_write(wake_.get(), 1);
+}
+
+bool SlabClient::has_registered_all() {
+  const std::unique_lock lock(mutex_, std::try_to_lock);
+  if (!lock.owns_lock()) return false;
+  return is_live() || std::ranges::all_of(own_, [](const auto& entry) { return entry.second.expired(); });
+}
+
+// A connection to a broker that has gone is none, though the thread may not have seen that yet.
+bool SlabClient::is_live() const {
+  if (!connected_) return false;
+  pollfd item{socket_.get(), POLLRDHUP, 0};
+  return ::poll(&item, 1, 0) == 0;
 }
 
 bool SlabClient::add(const std::shared_ptr<Slab>& slab, std::chrono::milliseconds timeout) {
@@ -110,6 +129,12 @@ std::optional<SlabPacket> SlabClient::ask_for_lease(const std::string& source) {
 std::optional<SlabPacket> SlabClient::open(std::uint64_t id, const std::string& name,
                                            std::chrono::milliseconds timeout) {
   std::unique_lock lock(mutex_);
+  if (!is_live()) {
+    // Who asks may have heard of the slab from a broker that has just come back.
+    look();
+    const std::uint64_t looked = looks_wanted_;
+    connected_changed_.wait_for(lock, look_timeout, [&] { return is_live() || looks_done_ >= looked; });
+  }
   if (!connected_changed_.wait_for(lock, timeout, [this] { return connected_; })) return std::nullopt;
   SlabDescriptor descriptor;
   descriptor.id = id;
@@ -141,12 +166,15 @@ std::optional<SlabPacket> SlabClient::ask(SlabOperation operation, const SlabDes
 }
 
 bool SlabClient::connect() {
+  const std::uint64_t look = looks_wanted_;
   auto socket = connect_to(socket_path_);
-  if (!socket.valid()) return false;
   const std::scoped_lock lock(mutex_);
-  socket_ = std::move(socket);
-  connected_ = true;
-  register_all();
+  looks_done_ = look;
+  if (socket.valid()) {
+    socket_ = std::move(socket);
+    connected_ = true;
+    register_all();
+  }
   connected_changed_.notify_all();
   return connected_;
 }
@@ -176,19 +204,27 @@ bool SlabClient::connected() {
   return connected_;
 }
 
+void SlabClient::take_wake() const {
+  eventfd_t ignored = 0;
+  ::eventfd_read(wake_.get(), &ignored);
+}
+
 void SlabClient::run(const std::stop_token& stop) {
   auto pause = first_pause;
   while (!stop.stop_requested()) {
     if (!connected() && !connect()) {
       pollfd wait{wake_.get(), POLLIN, 0};
-      ::poll(&wait, 1, static_cast<int>(pause.count()));
-      pause = std::min(pause * 2, longest_pause);
+      const bool woken = ::poll(&wait, 1, static_cast<int>(pause.count())) > 0;
+      take_wake();
+      pause = woken ? first_pause : std::min(pause * 2, longest_pause);
       continue;
     }
     pause = first_pause;
     // Answers are read by those who asked; here only the end of the connection counts.
     pollfd fds[2] = {{socket_.get(), POLLRDHUP, 0}, {wake_.get(), POLLIN, 0}};
     ::poll(fds, 2, -1);
+    take_wake();
+    if (fds[0].revents == 0) continue;
     const std::scoped_lock lock(mutex_);
     connected_ = false;
     socket_.reset();
