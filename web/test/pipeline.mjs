@@ -51,7 +51,8 @@ services:
 ${Object.entries(gateways).map(serviceOf).join('')}`;
   writeFileSync(join(folder, 'live.yaml'), services);
   const env = { ...process.env, XDG_STATE_HOME: join(folder, 'state') };  // log files
-  const launched = spawn(join(bin, 'splatbus'), ['launch', join(folder, 'live.yaml'), '--bus', `ipc://${folder}/bus`], { stdio: ['ignore', 'pipe', 'pipe'], env });
+  const bus = `ipc://${folder}/bus`;
+  const launched = spawn(join(bin, 'splatbus'), ['launch', join(folder, 'live.yaml'), '--bus', bus], { stdio: ['ignore', 'pipe', 'pipe'], env });
   let said = '';
   for (const stream of [launched.stdout, launched.stderr]) stream.on('data', (text) => (said = (said + text).slice(-4000)));
   const ended = new Promise((resolve) => launched.once('exit', resolve));
@@ -83,6 +84,14 @@ ${Object.entries(gateways).map(serviceOf).join('')}`;
     },
     async restarted(source) {
       await (await this.kill(source))();
+    },
+    /** Puts another process in a service's place, as an operator does; throws what the command says when it is refused. */
+    async swap(source) {
+      const verb = spawn(join(bin, 'splatbus'), ['swap', source, '--bus', bus], { stdio: ['ignore', 'pipe', 'pipe'], env });
+      let answer = '';
+      for (const stream of [verb.stdout, verb.stderr]) stream.on('data', (text) => (answer += text));
+      const code = await new Promise((resolve) => verb.once('close', resolve));
+      if (code !== 0) throw new Error(`swap ${source}: ${answer}`);
     },
     async close() {
       launched.kill('SIGINT');
