@@ -13,6 +13,8 @@ const kRestMs = 2000;
 /** What is measured between swaps is of this run and machine. A swap starts a process on the same processors, by which the page draws, too. */
 const kSlower = 1.5;
 const kLongerMs = 500;
+/** How to wait in the page: by its frames, as it is done by default, would count as turns of its loop. */
+const kPolls = { polling: 100 };
 /** On a busy machine any page is late now and then; one that waits for what is swapped is late every time. */
 const kTimes = 3;
 let browser;
@@ -65,10 +67,10 @@ const swapped = (service) =>
     await page.waitForFunction(({ sequence, epoch }) => {
       const { figures: now, connection } = window.splatbus;
       return connection === 'open' && now.missing === 0 && (now.epoch !== epoch || now.sequence > sequence);
-    }, then);
+    }, then, kPolls);
     // A turn that waits has not come yet.
     const turned = await page.evaluate(() => window.turns.length);
-    await page.waitForFunction((count) => window.turns.length > count, turned + 10);
+    await page.waitForFunction((count) => window.turns.length > count, turned + 10, kPolls);
   });
 
 test('trainer, streamer and gateway are swapped: the page\'s loop and picture go on as before', async (t) => {
