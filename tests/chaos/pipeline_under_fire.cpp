@@ -31,11 +31,11 @@ const std::vector<std::string>& services() {
 
 PipelineUnderFire::PipelineUnderFire() : PipelineUnderFire(cli::Pipeline::launch_file()) {}
 
-PipelineUnderFire::PipelineUnderFire(const std::string& launch_file)
+PipelineUnderFire::PipelineUnderFire(const std::string& launch_file, int held_out)
     : context_(bus::Context::create(bus_.address(), "chaos-test")),
       watch_(std::make_unique<cli::PipelineWatch>(context_)),
-      probes_(std::make_unique<cli::ProbeRounds>(context_,
-                                                 cli::circle_cameras({.count = 1, .size = 64, .phase_degrees = 45}))),
+      probes_(std::make_unique<cli::ProbeRounds>(
+          context_, cli::circle_cameras({.count = held_out, .size = 64, .phase_degrees = 45}))),
       scene_(std::make_unique<LiveScene>(context_)),
       heartbeats_(std::make_unique<bus::Subscriber>(context_, std::vector<std::string>{"sys/heartbeat"})) {
   std::ofstream(files_.path() / "chaos.yaml") << launch_file;
@@ -84,13 +84,15 @@ void PipelineUnderFire::poll(std::chrono::milliseconds timeout) {
     if (message->header().resent()) continue;  // of who may be gone
     const auto& heartbeat = message->root<wire::Heartbeat>();
     const std::string source = message->header().source()->str();
-    nodes_[source] = {.pid = static_cast<pid_t>(heartbeat.pid()),
-                      .heard_ns = bus::now_ns(),
-                      .runs = heartbeat.state() == wire::ServiceState::Running};
-    if (source != "bus" || heartbeat.counters() == nullptr) continue;
-    for (const auto* counter : *heartbeat.counters()) {
-      if (counter->name()->string_view() == "slabs") slabs_ = counter->value();
-    }
+    Node& node = nodes_[source];
+    node = {.pid = static_cast<pid_t>(heartbeat.pid()),
+            .heard_ns = bus::now_ns(),
+            .runs = heartbeat.state() == wire::ServiceState::Running,
+            .heard = {}};
+    if (heartbeat.backend() != nullptr) node.heard.backend = heartbeat.backend()->str();
+    if (heartbeat.counters() == nullptr) continue;
+    for (const auto* counter : *heartbeat.counters()) node.heard.counters[counter->name()->str()] = counter->value();
+    if (source == "bus" && node.heard.counters.contains("slabs")) slabs_ = node.heard.counters.at("slabs");
   }
 }
 
@@ -100,7 +102,7 @@ void PipelineUnderFire::take_sample() {
   const auto& pictures = state().viewer_quality;
   for (auto picture = pictures.upper_bound(newest_sample_); picture != pictures.end(); ++picture) {
     newest_sample_ = picture->first;
-    samples_.push_back({now, picture->second.ssim});
+    samples_.push_back({now, picture->second.ssim, probes_->camera_of(picture->first).value_or(0)});
   }
   if (now - sampled_ns_ < kSamplePeriodNs) return;
   sampled_ns_ = now;

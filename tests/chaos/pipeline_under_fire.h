@@ -29,7 +29,8 @@ struct Usage {
 class PipelineUnderFire {
  public:
   PipelineUnderFire();
-  explicit PipelineUnderFire(const std::string& launch_file);
+  /// `held_out`: views that it asks for, around the scene.
+  explicit PipelineUnderFire(const std::string& launch_file, int held_out = 1);
 
   /// Of the supervisor and each service that was heard of, by name; those that are gone among them.
   [[nodiscard]] std::map<std::string, pid_t> pids() const;
@@ -49,14 +50,21 @@ class PipelineUnderFire {
   [[nodiscard]] cli::Answer operate(std::vector<std::string> verb);
   /// The same, begun; poll() with let_pass() until it ends. Its lines come with its end.
   [[nodiscard]] cli::ChildProcess begin(std::vector<std::string> verb) const;
+  /// Of a service's newest heartbeat.
+  struct Heard {
+    std::string backend;
+    std::map<std::string, double> counters;
+  };
+  [[nodiscard]] const Heard& heard(const std::string& name) const { return nodes_.at(name).heard; }
   /// Of a successor that gets ready now; 0 when there is none.
   [[nodiscard]] pid_t successor_of(const std::string& name) const;
 
-  /// The viewer's picture of a held-out view against the engine's, asked for twice a second from now on.
+  /// The viewer's picture of each held-out view against the engine's, asked for twice a second from now on.
   void sample_pictures() { sampling_ = true; }
   struct Sample {
     std::int64_t time_ns = 0;  ///< when the answer came
     double ssim = 0;
+    std::size_t view = 0;
   };
   [[nodiscard]] const std::vector<Sample>& samples() const { return samples_; }
 
@@ -84,6 +92,7 @@ class PipelineUnderFire {
     pid_t pid = 0;
     std::int64_t heard_ns = 0;
     bool runs = false;
+    Heard heard;
   };
   cli::PrivateBusFolder bus_, files_;
   std::shared_ptr<bus::Context> context_;

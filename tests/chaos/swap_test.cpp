@@ -5,62 +5,44 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <memory>
 #include <tuple>
 
-#include "pipeline_under_fire.h"
+#include "operated_pipeline.h"
 
 namespace splatbus::chaos {
 namespace {
 
-constexpr double kSsim = 0.8, kSteady = 0.002;
+constexpr double kSteady = 0.002;
 /// More than training moves this small model by in the meantime. Without the views of the one before, it loses more in
 /// the four seconds after a swap.
 constexpr double kLoss = 0.005;
 constexpr std::size_t kSamples = 8;
 
-class LiveSwap : public testing::Test {
+class LiveSwap : public OperatedPipeline {
  protected:
-  void SetUp() override { ASSERT_TRUE(pipeline_.wait_until_well(kSsim, {})) << pipeline_.log(); }
-
-  void operate(const std::vector<std::string>& verb) {
-    const cli::Answer answer = pipeline_.operate(verb);
-    ASSERT_TRUE(answer.status.success()) << testing::PrintToString(verb) << testing::PrintToString(answer.lines)
-                                         << pipeline_.log();
-  }
-
-  /// Another process than before has its name and runs.
-  void swap(const std::string& name) {
-    const pid_t before = pipeline_.pids().at(name);
-    operate({"swap", name});
-    EXPECT_TRUE(pipeline_.wait_until([&] { return pipeline_.pids().at(name) != before; })) << name;
-  }
+  void SetUp() override { start(std::make_unique<PipelineUnderFire>()); }
 
   void kill(const std::string& name) {
-    const pid_t before = pipeline_.pids().at(name);
+    const pid_t before = pipeline_->pids().at(name);
     ASSERT_EQ(::kill(before, SIGKILL), 0);
-    EXPECT_TRUE(pipeline_.wait_until([&] { return pipeline_.pids().at(name) != before; })) << name;
-  }
-
-  std::vector<std::uint64_t> sorted_ids() {
-    auto ids = pipeline_.gaussian_ids().value_or(std::vector<std::uint64_t>());
-    std::ranges::sort(ids);
-    return ids;
+    EXPECT_TRUE(pipeline_->wait_until([&] { return pipeline_->pids().at(name) != before; })) << name;
   }
 
   /// Until so many more samples have come: their least and their mean.
   std::pair<double, double> ssim_of_the_next(std::size_t count) {
-    const auto first = static_cast<std::ptrdiff_t>(pipeline_.samples().size());
+    const auto first = static_cast<std::ptrdiff_t>(pipeline_->samples().size());
     EXPECT_TRUE(
-        pipeline_.wait_until([&] { return pipeline_.samples().size() >= static_cast<std::size_t>(first) + count; }));
+        pipeline_->wait_until([&] { return pipeline_->samples().size() >= static_cast<std::size_t>(first) + count; }));
     return ssim_since(first);
   }
   [[nodiscard]] std::pair<double, double> ssim_since(std::ptrdiff_t first) const {
     double least = 1, sum = 0;
-    for (auto sample = pipeline_.samples().begin() + first; sample != pipeline_.samples().end(); ++sample) {
+    for (auto sample = pipeline_->samples().begin() + first; sample != pipeline_->samples().end(); ++sample) {
       least = std::min(least, sample->ssim);
       sum += sample->ssim;
     }
-    const auto count = static_cast<double>(pipeline_.samples().size()) - static_cast<double>(first);
+    const auto count = static_cast<double>(pipeline_->samples().size()) - static_cast<double>(first);
     return {least, sum / count};
   }
 
@@ -76,26 +58,19 @@ class LiveSwap : public testing::Test {
     }
     return now;
   }
-
-  PipelineUnderFire pipeline_;
 };
 
 /// With insertion and removal at rest, the same Gaussians, by their ids, after each swap; and the picture stays. So it
 /// does when a trainer is killed, and the next one adopts the model, but without moments and ages.
 TEST_F(LiveSwap, ATrainerThreeTimesInARowAndKilled) {
-  // The input cameras follow the viewer, and the picture that is compared gets better and worse as they come and go.
-  operate({"param", "set", "viewer", "path", "still"});
-  operate({"stop", "expander"});
-  for (const char* off : {"carve", "prune", "densify", "freeze"}) {
-    operate({"param", "set", "trainer", off, "false", "--save"});
-  }
+  only_train();
   const std::vector<std::uint64_t> before = sorted_ids();
   ASSERT_GT(before.size(), 100U);
   EXPECT_EQ(std::ranges::adjacent_find(before), before.end());
-  pipeline_.sample_pictures();
+  pipeline_->sample_pictures();
   auto [least_before, mean_before] = ssim_until_steady();
   for (const std::string how : {"swap", "swap", "swap", "kill"}) {
-    const auto first = static_cast<std::ptrdiff_t>(pipeline_.samples().size());
+    const auto first = static_cast<std::ptrdiff_t>(pipeline_->samples().size());
     how == "swap" ? swap("trainer") : kill("trainer");
     const auto [least_during, mean_during] = ssim_of_the_next(2).first > 0 ? ssim_since(first) : std::pair(0.0, 0.0);
     const auto [least_after, mean_after] = ssim_of_the_next(kSamples);
@@ -112,7 +87,7 @@ TEST_F(LiveSwap, EveryOtherServiceThreeTimesInARow) {
   for (const char* name : {"expander", "relight", "capture-bridge", "streamer", "gateway", "viewer"}) {
     SCOPED_TRACE(name);
     for (int time = 0; time < 3; ++time) ASSERT_NO_FATAL_FAILURE(swap(name));
-    ASSERT_TRUE(pipeline_.wait_until_well(kSsim, {})) << pipeline_.log();
+    ASSERT_TRUE(pipeline_->wait_until_well(kSsim, {})) << pipeline_->log();
   }
 }
 
