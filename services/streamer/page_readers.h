@@ -22,6 +22,11 @@ class PageReaders {
   static constexpr double kStrangersPages_s = 5, kStrangersBurst = 20;  ///< of one address that is no service's
   static constexpr std::int64_t kForgetNs = 10'000'000'000;
 
+  /// In pages; half a second's worth at most, so that the manifest of a world of any size can be asked for.
+  [[nodiscard]] static double price_of_manifest(std::size_t offered) {
+    return std::min(1 + static_cast<double>(offered / 100), kBurst / 2);
+  }
+
   /// Whether this peer is given `pages` (or as much of a manifest) now. Who asks for nothing is given nothing.
   [[nodiscard]] bool take(const Endpoint::Peer& peer, double pages, std::int64_t now_ns) {
     if (!(pages > 0) || (!readers_.contains(peer) && readers_.size() >= kMaxReaders)) return false;

@@ -26,6 +26,7 @@ ViewerHub::ViewerHub(Endpoint& endpoint, stream::StreamModel& model, stream::Pac
       options_(options),
       events_(std::move(events)),
       board_(model, options.history_bytes),
+      answers_(board_, model, [this](const auto& peer, const WirePacket& packet) { return send(peer, packet); }),
       book_(options.max_viewers_per_address) {}
 
 void ViewerHub::say(const std::string& text) {
@@ -130,8 +131,7 @@ void ViewerHub::set_rate(ViewerFeed& feed, std::int64_t now_ns) const {
 }
 
 bool ViewerHub::pump(std::int64_t now_ns) {
-  bool waits = false;
-  answer_readers(now_ns);
+  bool waits = answers_.pump(now_ns);
   for (auto at = viewers_.begin(); at != viewers_.end();) {
     Viewer& viewer = at->second;
     set_rate(viewer.feed, now_ns);

@@ -13,6 +13,7 @@
 #include "gaussians/camera.h"
 #include "stream/stream_model.h"
 #include "streamer/endpoint.h"
+#include "streamer/page_answers.h"
 #include "streamer/page_board.h"
 #include "streamer/page_readers.h"
 #include "streamer/peer_book.h"
@@ -140,8 +141,6 @@ class ViewerHub {
   void take_probe(const Endpoint::Peer& peer, Viewer& viewer, const wire::Probe& probe, std::int64_t now_ns);
   void take_held(Viewer& viewer, const wire::Held& held, std::int64_t now_ns);
   void take_page_request(const Endpoint::Received& received, std::int64_t now_ns);
-  void answer_readers(std::int64_t now_ns);
-  bool send_page(const Endpoint::Peer& peer, const stream::PageVersion& asked, std::uint64_t epoch);
   void begin(Viewer& viewer, bool has_scene);
   [[nodiscard]] SharedPacket whole_scene();
   /// Why somebody of that address may not be a viewer; empty: it may.
@@ -162,13 +161,7 @@ class ViewerHub {
   std::map<Endpoint::Peer, Viewer> viewers_;
   PageBoard board_;
   PageReaders readers_;
-  struct Waiting {
-    Endpoint::Peer peer;
-    stream::PageVersion asked;
-    std::uint64_t epoch = 0;
-    std::int64_t asked_ns = 0;
-  };
-  std::deque<Waiting> waiting_;  ///< readers, for others' pages
+  PageAnswers answers_;
   ObjectTransforms objects_;
   std::map<std::uint64_t, Probe> probes_;
   PeerBook book_;

@@ -163,8 +163,8 @@ void ViewerHub::take_page_request(const Endpoint::Received& received, std::int64
   const auto& [peer, packet, rights, address, is_service] = received;
   const wire::PageRequest& request = *packet.root().body_as_PageRequest();
   const std::size_t pages = request.pages() ? request.pages()->size() : 0;
-  const std::size_t manifests = request.manifest() ? 1 + board_.offered().size() / 100 : 0;
-  const auto wanted = static_cast<double>(pages + manifests);
+  const double manifest = request.manifest() ? PageReaders::price_of_manifest(board_.offered().size()) : 0;
+  const auto wanted = static_cast<double>(pages) + manifest;
   const bool is_reader = is_service && rights.control;
   if (is_reader ? !readers_.take(peer, wanted, now_ns)
                 : pages > PageReaders::kStrangersBurst || !readers_.take_as_stranger(address, wanted, now_ns)) {
@@ -172,22 +172,13 @@ void ViewerHub::take_page_request(const Endpoint::Received& received, std::int64
     return;
   }
   if (!model_.status().ready) return;
-  if (request.manifest()) {
-    send(peer, *board_.layout());
-    for (const SharedPacket& part : board_.manifest()) send(peer, *part);
-  }
-  std::vector<std::uint32_t> gone;
+  PageAnswers::Request asked{
+      .manifest = request.manifest(), .pages = {}, .epoch = packet.stream_epoch(), .is_stranger = !is_reader};
   for (std::size_t k = 0; k < pages; ++k) {
-    const wire::PageVersion* asked = request.pages()->Get(static_cast<flatbuffers::uoffset_t>(k));
-    const stream::PageVersion page{asked->page(), asked->version()};
-    if (send_page(peer, page, packet.stream_epoch())) continue;
-    if (board_.is_of_others(page.page)) {
-      waiting_.push_back({peer, page, packet.stream_epoch(), now_ns});
-    } else {
-      gone.push_back(page.page);
-    }
+    const wire::PageVersion* page = request.pages()->Get(static_cast<flatbuffers::uoffset_t>(k));
+    asked.pages.push_back({page->page(), page->version()});
   }
-  if (!gone.empty()) send(peer, WirePacket(model_.gone_packet(gone)));
+  if (!answers_.take(peer, asked, now_ns)) ++ignored_;
 }
 
 std::string ViewerHub::refusal_of(const std::string& address) const {

@@ -7,12 +7,6 @@
 
 namespace splatbus::streamer {
 
-namespace {
-
-constexpr std::int64_t kReaderWaitsNs = 1'000'000'000;
-
-}  // namespace
-
 void ViewerHub::add_others_visibility(std::vector<stream::VisibilityPacket> packets, const SceneState& scene) {
   std::vector<stream::VisibilityPacket> known;
   for (stream::VisibilityPacket& packet : packets) {
@@ -40,24 +34,6 @@ std::optional<ShareAnswer> ViewerHub::answer(const ShareWant& want) {
   }
   if (answer.packets.empty()) return std::nullopt;
   return answer;
-}
-
-bool ViewerHub::send_page(const Endpoint::Peer& peer, const stream::PageVersion& asked, std::uint64_t epoch) {
-  const auto page = board_.find(asked.page) ? board_.page(asked.page, false, false) : nullptr;
-  if (!page || page->version != asked.version || epoch != model_.status().epoch) return false;
-  for (const SharedPacket& part : page->parts) send(peer, *part);
-  return true;
-}
-
-void ViewerHub::answer_readers(std::int64_t now_ns) {
-  std::erase_if(waiting_, [&](const Waiting& waiting) {
-    if (send_page(waiting.peer, waiting.asked, waiting.epoch)) return true;
-    const bool another = !board_.is_of_others(waiting.asked.page) || waiting.epoch != model_.status().epoch ||
-                         board_.find(waiting.asked.page)->version > waiting.asked.version;
-    if (!another && now_ns - waiting.asked_ns < kReaderWaitsNs) return false;
-    send(waiting.peer, WirePacket(model_.gone_packet(std::vector{waiting.asked.page})));
-    return true;
-  });
 }
 
 }  // namespace splatbus::streamer
