@@ -109,6 +109,53 @@ TEST_F(McapTest, WhatIsWrittenIsRead) {
   EXPECT_EQ(reader.read_metadata()[0].values, (StringMap{{"key", "value"}}));
 }
 
+TEST_F(McapTest, AChunksTimesAreThoseOfItsEarliestAndItsLatestMessage) {
+  {
+    const auto file = writer();
+    const auto channel = file->add_channel(0, "t", "raw", {});
+    for (const std::uint64_t time : {50U, 70U, 30U, 60U}) file->write({.channel_id = channel, .log_time = time});
+    file->close_chunk();
+    file->write({.channel_id = channel, .log_time = 40});
+    file->close();
+  }
+  const auto expect_times = [](const Reader& reader) {
+    ASSERT_EQ(reader.summary().chunks.size(), 2U);
+    EXPECT_EQ(reader.summary().chunks[0].message_start_time, 30U);
+    EXPECT_EQ(reader.summary().chunks[0].message_end_time, 70U);
+    EXPECT_EQ(reader.summary().chunks[1].message_start_time, 40U);
+    EXPECT_EQ(reader.summary().chunks[1].message_end_time, 40U);
+  };
+  expect_times(Reader(path_));
+  const std::string whole = bytes();
+  write_bytes(whole.substr(0, whole.size() - 1));
+  expect_times(Reader(path_));  // as the chunks say it themselves
+}
+
+TEST_F(McapTest, ASummaryThatNamesARecordTwiceIsNotGoneBy) {
+  {
+    const auto file = writer();
+    write_messages(*file);
+    file->close();
+  }
+  const std::string whole = bytes();
+  const std::uint64_t data_end = Reader(path_).data_end() - 13;  // DataEnd is written anew
+  const Summary summary = Reader(path_).summary();
+  const auto expect_scanned = [&](const Summary& lie, const char* record) {
+    const std::vector<std::byte> end = file_end(lie, data_end);
+    write_bytes(whole.substr(0, data_end) + std::string(reinterpret_cast<const char*>(end.data()), end.size()));
+    Reader reader(path_);
+    EXPECT_THAT(reader.damage(), testing::AllOf(HasSubstr(record), HasSubstr("the summary's place of it")));
+    EXPECT_EQ(read_all(reader), written_);
+    EXPECT_EQ(reader.read_metadata().size(), 1U);
+  };
+  Summary lie = summary;
+  lie.chunks.insert(lie.chunks.begin() + 1, lie.chunks[1]);
+  expect_scanned(lie, "Chunk at byte");
+  lie = summary;
+  lie.metadata.push_back(lie.metadata[0]);
+  expect_scanned(lie, "Metadata at byte");
+}
+
 TEST_F(McapTest, ChunksAreCompressedWhereThatMakesThemSmaller) {
   std::string same(100'000, 'a'), noise;
   for (std::uint32_t state = 1; noise.size() < same.size();) {
