@@ -5,6 +5,7 @@
 #include <linux/tcp.h>
 #include <netinet/in.h>
 #include <spdlog/spdlog.h>
+#include <sys/eventfd.h>
 #include <sys/resource.h>
 #include <sys/socket.h>
 
@@ -81,7 +82,9 @@ ConnectionGuard::ConnectionGuard(zmq::context_t& context, zmq::socket_t& socket,
     : limits_(within_descriptors(limits)),
       name_(std::move(name)),
       guarded_(socket),
-      events_(context, zmq::socket_type::pair) {
+      events_(context, zmq::socket_type::pair),
+      wake_(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
+  if (!wake_.valid()) throw Error("cannot make an eventfd");
   static std::atomic<std::uint64_t> number = 0;
   const auto endpoint = fmt::format("inproc://splatbus-guard-{}", ++number);
   if (zmq_socket_monitor(socket.handle(), endpoint.c_str(), ZMQ_EVENT_ACCEPTED) != 0) throw zmq::error_t();
@@ -93,6 +96,7 @@ ConnectionGuard::ConnectionGuard(zmq::context_t& context, zmq::socket_t& socket,
 
 ConnectionGuard::~ConnectionGuard() {
   thread_.request_stop();
+  ::eventfd_write(wake_.get(), 1);
   thread_.join();
   zmq_socket_monitor(guarded_.handle(), nullptr, 0);
 }
@@ -129,8 +133,8 @@ void ConnectionGuard::run(const std::stop_token& stop) {
   std::size_t open = 0;
   while (!stop.stop_requested()) {
     const std::int64_t left_ns = open == 0 ? std::int64_t{idle_ms} * 1'000'000 : next_sweep - now_ns();
-    zmq_pollitem_t item{events_.handle(), 0, ZMQ_POLLIN, 0};
-    zmq_poll(&item, 1, static_cast<long>(std::clamp<std::int64_t>(left_ns / 1'000'000 + 1, 0, idle_ms)));
+    zmq_pollitem_t items[] = {{events_.handle(), 0, ZMQ_POLLIN, 0}, {nullptr, wake_.get(), ZMQ_POLLIN, 0}};
+    zmq_poll(items, std::size(items), static_cast<long>(std::clamp<std::int64_t>(left_ns / 1'000'000 + 1, 0, idle_ms)));
     const std::scoped_lock lock(mutex_);
     accept_events();
     const std::int64_t now = now_ns();

@@ -11,6 +11,7 @@
 #include <vector>
 #include <zmq.hpp>
 
+#include "bus/file_descriptor.h"
 #include "bus/log_sink.h"
 #include "bus/token_bucket.h"
 
@@ -97,6 +98,7 @@ class ConnectionGuard {
   LogLimiter limiter_;
   zmq::socket_t& guarded_;
   zmq::socket_t events_;
+  FileDescriptor wake_;
   std::jthread thread_;
 };
 

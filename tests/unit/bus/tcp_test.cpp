@@ -159,5 +159,19 @@ TEST_F(Tcp, WhoOnlyWantsToKnowTheTopicsIsSentNoTensor) {
   EXPECT_EQ(broker_->statistics().inlined, 0u);
 }
 
+TEST_F(Tcp, ABrokerStopsAtOnce) {
+  std::chrono::steady_clock::duration quickest = patience;
+  for (int i = 0; i < 10; ++i) {
+    broker_.reset();
+    broker_ = std::make_unique<bus_service::Broker>(options());
+    broker_->start();
+    std::this_thread::sleep_for(5ms);  // by then all its threads wait for something
+    const auto before = std::chrono::steady_clock::now();
+    broker_->stop();
+    quickest = std::min(quickest, std::chrono::steady_clock::now() - before);
+  }
+  EXPECT_LT(quickest, 50ms);
+}
+
 }  // namespace
 }  // namespace splatbus::bus_test
