@@ -96,6 +96,32 @@ TEST(Playout, AndWith20MsOfJitter) {
   }
 }
 
+TEST(Playout, ALightIsOnItsWayBetweenTheTwoStatesThatSayIt) {
+  const glm::vec3 from_colour(0.5F, 1, 4), to_colour(2.5F, 1, 0), quarter(1, 1, 3);
+  const auto lit = [](const glm::vec3& colour, float turned) {
+    SceneState scene;
+    scene.light.sun_direction = {std::cos(turned), std::sin(turned), 0};
+    scene.light.sun_irradiance = scene.light.background = colour;
+    for (std::size_t k = 0; k < scene.light.ambient_sh.size(); ++k) {
+      scene.light.ambient_sh[k] = colour * static_cast<float>(k + 1);
+    }
+    scene.light.sources.push_back(
+        {.id = 3, .kind = LightKind::Spot, .position = colour, .direction = {0, -1, 0}, .intensity = 2.0F * colour});
+    return scene;
+  };
+  const Light light = scene_between(lit(from_colour, 0), lit(to_colour, 0.2F), 0.25).light;
+  EXPECT_EQ(light.background, quarter);
+  EXPECT_EQ(light.sun_irradiance, quarter);
+  for (std::size_t k = 0; k < light.ambient_sh.size(); ++k) {
+    EXPECT_EQ(light.ambient_sh[k], quarter * static_cast<float>(k + 1));
+  }
+  ASSERT_EQ(light.sources.size(), 1U);
+  EXPECT_EQ(light.sources[0].position, quarter);
+  EXPECT_EQ(light.sources[0].intensity, 2.0F * quarter);
+  EXPECT_NEAR(std::atan2(light.sun_direction.y, light.sun_direction.x), 0.05, 1e-3);
+  EXPECT_NEAR(glm::length(light.sun_direction), 1, 1e-6);
+}
+
 TEST(Playout, RunsSlowerWhileTheDelayGrowsAndNeverBack) {
   Playout playout;
   std::int64_t sent = 0, before = 0;

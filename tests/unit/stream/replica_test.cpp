@@ -151,6 +151,34 @@ TEST(Replica, GapsInTheNumbersAreReportedOnceAndAnotherConnectionCountsAnew) {
   EXPECT_TRUE(replica.report().missing.empty());
 }
 
+TEST(Replica, TheNewestNumberStaysSoWhenAnOlderOneComesLate) {
+  Replica replica;
+  const PacketWriter writer("streamer", 1);
+  const auto keepalive = [&](std::uint64_t sequence) {
+    replica.receive(parse(writer.write(77, sequence, wire::Body::Keepalive,
+                                       [](auto& b) { return wire::CreateKeepalive(b, 1, 1, 1, 1); })));
+  };
+  for (const std::uint64_t sequence : {1U, 2U, 5U, 3U, 1U}) keepalive(sequence);
+  EXPECT_EQ(replica.report().newest, 5U);
+  keepalive(6);
+  EXPECT_EQ(replica.report().newest, 6U);
+  EXPECT_EQ(replica.report().missing, (std::vector<SequenceRange>{{3, 4}}));
+}
+
+TEST(Replica, AnOlderStateOfAPageThatComesLateChangesNothing) {
+  ToyServer server(14, 1500);
+  test::ShownReplica replica;
+  join(server.stream, replica);
+  const auto late = server.stream.page_packets(1);
+  server.train(0.05F);
+  server.tick_for(replica);
+  ASSERT_GT(replica.held().find(1)->version, late[0].version);
+  for (const PagePacket& part : late) replica.receive(parse(part.packet));
+  EXPECT_TRUE(replica.report().lacks.empty());
+  expect_exact(server.stream, replica);
+  expect_shown(replica);
+}
+
 TEST(Replica, PartsMakeAPageInAnyOrderAndAreShownAsTheyCome) {
   ToyServer server(8, 900);
   auto parts = server.stream.page_packets(0, kBlockRows);

@@ -269,6 +269,18 @@ TEST_F(ForgedScene, IsRefusedByName) {
   expect_refused("object 1: its rotation", {0, 0, 0, 1, 1, 4, 0, 0, 0, 0, 0, 0x80});
 }
 
+TEST_F(ForgedScene, AgainstAnyOtherThanTheHeldIsNotApplied) {
+  for (const std::uint64_t from : {1U, 3U, 8U}) {
+    ReplicatedState held = replica_.held();
+    ASSERT_EQ(held.quantized_scene.version, 2U);
+    const Bytes state = {0, 0, 0, 0};
+    const auto packet = parse(writer_.write(
+        77, 0, wire::Body::Scene, [&](auto& b) { return wire::CreateScene(b, 9, from, 1, b.CreateVector(state)); }));
+    EXPECT_THROW(stream::apply(held, packet), SceneLost) << from;
+    EXPECT_TRUE(held.quantized_scene == replica_.held().quantized_scene);
+  }
+}
+
 TEST_F(ForgedScene, MoreObjectsThanAreTakenAreRefusedOverManyPackets) {
   for (std::uint32_t i = 0; i < kMaxObjects - 2; ++i) server_.scene.objects[10 + i];
   send(server_.change_scene(), replica_);
