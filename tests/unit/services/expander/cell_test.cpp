@@ -154,6 +154,19 @@ TEST_F(CellTableTest, TellsWhatHasChangedOnce) {
   EXPECT_EQ(table_.modelled_of(cell(3, 0).key), 0U);
 }
 
+TEST_F(CellTableTest, TheOthersAreFoundAsBeforeWhenOneIsForgotten) {
+  table_.add_modelled(std::vector{cell(1, 10), cell(2, 20), cell(3, 30)});
+  EXPECT_EQ(changed().size(), 3U);
+  table_.remove_modelled(std::vector{cell(1, 10)});
+  EXPECT_EQ(changed(), (Cells{{1, 0, 0}}));
+  table_.add_modelled(std::vector{cell(4, 40), cell(3, 3)});
+  EXPECT_EQ(table_.modelled_of(cell(2, 0).key), 20U);
+  EXPECT_EQ(table_.modelled_of(cell(3, 0).key), 33U);
+  EXPECT_EQ(table_.modelled_of(cell(4, 0).key), 40U);
+  EXPECT_EQ(changed(), (Cells{{3, 0, 33}, {4, 0, 40}}));
+  EXPECT_EQ(take(5, 5), (Cells{{2, 0, 20}, {3, 0, 33}, {4, 0, 40}}));
+}
+
 TEST_F(CellTableTest, TellsTheOthersAgainInTurn) {
   table_.set_samples(std::vector{cell(1, 10), cell(2, 20), cell(3, 30)});
   EXPECT_EQ(take(2, 2).size(), 2U) << "what has changed comes first";
