@@ -89,6 +89,20 @@ TEST_F(SupervisorTest, ASuccessorTakesThePlaceAndThePredecessorLeaves) {
   EXPECT_EQ(status("a").restarts, 0);
 }
 
+TEST_F(SupervisorTest, WhatWasASuccessorIsStartedAgainAsNone) {
+  launch({shell("a", kSleep)});
+  ASSERT_TRUE(wait_for_state("a", ProcessState::Running));
+  ProcessPlan plan = shell("a", "echo \"with $*.\"; " + std::string(kSleep));
+  plan.arguments.insert(plan.arguments.end(), {"sh", "--set", "--successor", "x=1"});
+  supervisor_->start_successor("a", plan);
+  ASSERT_TRUE(wait_for_line("a.next | with --set --successor x=1."));
+  supervisor_->exchange("a", 0);
+  ASSERT_TRUE(supervisor_->wait_until([](const auto& all) { return !all[0].beside; }, kPatience));
+  supervisor_->restart("a");
+  ASSERT_TRUE(wait_for_line("a | with "));
+  EXPECT_THAT(lines(), testing::Contains("a | with --set x=1."));
+}
+
 TEST_F(SupervisorTest, ASuccessorThatDiesChangesNothing) {
   launch({shell("a", kSleep)});
   ASSERT_TRUE(wait_for_state("a", ProcessState::Running));
