@@ -25,7 +25,6 @@ namespace splatbus::cli {
 namespace {
 
 constexpr std::chrono::milliseconds kTurn{50};
-constexpr int kSayTurns = 20;  // a bus that was restarted may have heard of the model before it knew its slabs
 
 /// Where the gateway looks for it.
 void require_page() {
@@ -102,9 +101,9 @@ int view_in_page(splats::SplatFile file, const PageOptions& options) {
   SupervisedRun run(plan, {});
   const StillPublisher model(connect_later(folder.address()), file.gaussians.view());
   file.gaussians = GaussiansBuffer();  // it is in the slabs now
+  model.publish(options.background);
   bool invited = false;
-  for (int turn = 0; !signals.stop().stop_requested(); ++turn, std::this_thread::sleep_for(kTurn)) {
-    if (turn % kSayTurns == 0) model.publish(options.background);
+  for (; !signals.stop().stop_requested(); std::this_thread::sleep_for(kTurn)) {
     run.check();
     if (invited || !run.all_running()) continue;
     fmt::print("{}: {} Gaussians\n", options.path, model.count());
