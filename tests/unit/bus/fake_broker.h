@@ -37,6 +37,31 @@ class FakeBroker {
   zmq::socket_t socket_;
 };
 
+/// The side of a broker that publishers connect to: takes all that they send.
+class FakeReader {
+ public:
+  explicit FakeReader(const bus::Address& address) : socket_(context_, zmq::socket_type::sub) {
+    socket_.set(zmq::sockopt::rcvtimeo, 10000);
+    socket_.set(zmq::sockopt::subscribe, "");
+    socket_.bind(address.publish_endpoint());
+  }
+
+  /// The frames of the next message; none when nothing comes.
+  std::vector<std::string> receive() {
+    std::vector<std::string> frames;
+    zmq::message_t frame;
+    do {
+      if (!socket_.recv(frame).has_value()) return {};
+      frames.push_back(frame.to_string());
+    } while (frame.more());
+    return frames;
+  }
+
+ private:
+  zmq::context_t context_;
+  zmq::socket_t socket_;
+};
+
 /// A publisher at a broker that sends whatever a test wants: zmq frames, as they are.
 class RawPublisher {
  public:

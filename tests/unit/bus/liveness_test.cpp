@@ -43,6 +43,15 @@ TEST(LivenessTest, ANewSourceIsAChangeWhateverItSays) {
   }
 }
 
+TEST(LivenessTest, ASourceThatWasStartedAgainIsAChangeThoughItIsAsItWas) {
+  Liveness liveness;
+  beat(liveness, 10 * kSecond);
+  EXPECT_TRUE(liveness.take_changed());
+  beat(liveness, 11 * kSecond, wire::ServiceState::Running, 2);
+  EXPECT_TRUE(liveness.take_changed());
+  EXPECT_EQ(liveness.nodes().at("trainer").epoch, 2U);
+}
+
 TEST(LivenessTest, NodesAndTopicsAreBounded) {
   Liveness liveness;
   TopicTable table;

@@ -6,6 +6,7 @@
 #include <chrono>
 #include <future>
 
+#include "bus_fixture.h"
 #include "fake_broker.h"
 
 namespace splatbus::bus_service {
@@ -49,6 +50,38 @@ TEST(RemoteReaders, OnlyWhatTheyHaveNotReadIsTheirDoing) {
   EXPECT_TRUE(readers.offer(large, header_of(large)).left_out);
   EXPECT_THAT(readers.take_unserved(), testing::ElementsAre("large"));
   go.set_value();
+}
+
+TEST(RemoteReaders, WhatComesAfterAMessageThatIsStillCopiedWaitsForItAndOtherTopicsDoNot) {
+  std::promise<void> go;
+  const auto gone = go.get_future().share();
+  RemoteReaders readers(
+      [&](std::uint64_t) {
+        gone.wait_for(std::chrono::seconds(30));
+        return std::shared_ptr<bus::Slab>();
+      },
+      1 << 20);
+  const bus_test::RawTensor tensor{
+      .span = wire::Span(1, 2, 0, 4, wire::Storage::Slab), .shape = {1}, .type = wire::ElementType::F32};
+  const auto offer = [&](const std::string& topic, std::uint64_t number,
+                         const std::vector<bus_test::RawTensor>& tensors = {}) {
+    const auto frames = frames_of(topic, bus_test::probe_body(number, number, tensors));
+    auto offered = readers.offer(frames, header_of(frames));
+    EXPECT_FALSE(offered.left_out);
+    return offered.now.has_value();
+  };
+  EXPECT_FALSE(offer("slow", 1, {tensor}));
+  EXPECT_FALSE(offer("slow", 2)) << "it has nothing to be copied, but would overtake";
+  EXPECT_TRUE(offer("other", 1));
+  EXPECT_FALSE(offer("slow", 3));
+  go.set_value();
+  std::vector<std::uint64_t> came;
+  ASSERT_TRUE(bus_test::eventually([&] {
+    for (const auto& done : readers.take()) came.push_back(header_of(done.frames).sequence());
+    return came.size() == 3;
+  }));
+  EXPECT_THAT(came, testing::ElementsAre(1, 2, 3));
+  EXPECT_TRUE(offer("slow", 4)) << "nothing waits any longer";
 }
 
 }  // namespace

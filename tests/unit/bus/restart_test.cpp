@@ -4,6 +4,7 @@
 #include "bus/error.h"
 #include "bus_fixture.h"
 #include "child_process.h"
+#include "fake_broker.h"
 #include "slab_helpers.h"
 
 namespace splatbus::bus_test {
@@ -74,6 +75,24 @@ TEST_F(Restart, WhatIsPublishedWhileTheBrokerIsAwayWaits) {
   broker = start_broker();
   bus::Subscriber subscriber(connect("reader"), {"grid/state"});
   EXPECT_EQ(receive_number(subscriber), 8u);
+}
+
+TEST_F(Restart, WhatWaitedForABrokerComesInTheOrderInWhichItWasPublished) {
+  const auto maker = connect("maker");
+  NumberPublisher probes(maker, "viewer/probe"), state(maker, "grid/state");
+  for (std::uint64_t number = 0; number < 6; ++number) {
+    const bool latched = number % 2 == 1;
+    publish_number(latched ? state : probes, number, latched, latched ? std::to_string(number) : "");
+  }
+  FakeReader broker(directory_.address());
+  std::vector<std::uint64_t> heard;
+  while (heard.size() < 6) {
+    const std::vector<std::string> frames = broker.receive();
+    ASSERT_GE(frames.size(), 2U) << "nothing has come";
+    if (frames[0] != "viewer/probe" && frames[0] != "grid/state") continue;
+    heard.push_back(flatbuffers::GetRoot<wire::ViewerProbe>(frames[1].data())->probe_id());
+  }
+  EXPECT_THAT(heard, testing::ElementsAre(0, 1, 2, 3, 4, 5));
 }
 
 TEST_F(Restart, ASlabOutlivesItsMaker) {
