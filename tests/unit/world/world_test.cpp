@@ -156,6 +156,22 @@ TEST_F(WorldTest, WhoeverAsksWaitsForNoDisk) {
 }
 
 /// Where a folder comes near what it may take, segments are rewritten that would else be left alone.
+TEST_F(WorldTest, ACommitBringsAllThatWentBeforeItToDisk) {
+  std::map<std::filesystem::path, std::uintmax_t> on_disk;
+  WorldOptions options{.segment_bytes = 20000};
+  options.sync = [&](const File& file) { on_disk[file.path()] = std::filesystem::file_size(file.path()); };
+  World world(folder_, options);
+  std::uint32_t pages = 0;
+  for (std::size_t round = 1; round <= 3; ++round) {
+    const std::size_t segments = world.segments();
+    while (world.segments() < segments + 3) put(world, make_page(10 * pages++, 20, 2));
+    world.commit({.next_gaussian_id = 10000});
+    for (const auto& entry : std::filesystem::directory_iterator(folder_ / "segments")) {
+      EXPECT_EQ(on_disk[entry.path()], entry.file_size()) << entry.path().filename() << ", commit " << round;
+    }
+  }
+}
+
 TEST_F(WorldTest, NearItsCeilingLessIsWasted) {
   for (const bool bounded : {false, true}) {
     WorldOptions options{.segment_bytes = 60000};
