@@ -33,6 +33,18 @@ TEST(Culling, TheNearerAndLessObliqueCameraWins) {
   EXPECT_GT(std::count(round.samples.camera.begin(), round.samples.camera.end(), 0U), 100);
 }
 
+TEST(Culling, OfCamerasThatSeeAboutAsWellTheFirstKeepsAll) {
+  const AnalyticScene scene{.ball_centre = {9, 9, 9}, .sheet_centre = {9, 9, 9}};
+  const auto of_second = [&](float distance_m) {
+    const auto views = scene.render_all(
+        {look_at({0, 2, 0.001F}, {0, 0, 0}, 48, 48, 0.5F), look_at({0, distance_m, 0.001F}, {0, 0, 0}, 48, 48, 0.5F)});
+    const SampledRound round = sample(views, {}, unlimited());
+    return std::count(round.samples.camera.begin(), round.samples.camera.end(), 1U);
+  };
+  EXPECT_EQ(of_second(1.9F), 0) << "a pixel's extent is 5 % less";
+  EXPECT_EQ(of_second(1.7F), 48 * 48) << "15 % less";
+}
+
 /// Colours of pixels beside a silhouette are blended: who sees the same floor undisturbed gives its samples.
 TEST(Culling, BesideASilhouetteAnotherCameraWins) {
   const AnalyticScene scene{.sheet_centre = {9, 9, 9}};

@@ -91,6 +91,18 @@ TEST(Spacing, MatchesTheDensityAfterCullingAndBudget) {
   }
 }
 
+TEST(Spacing, OfTheOneSampleThatABudgetLeavesIsTheSideOfItsSquare) {
+  const AnalyticScene scene{.ball_centre = {9, 9, 9}, .sheet_centre = {9, 9, 9}};
+  const auto views = scene.render_all({look_at({0, 2, 0.001F}, {0, 0, 0}, 32, 32, 0.5F)});
+  SamplingOptions options = unlimited();
+  options.budget = 1;
+  const SampledRound round = sample(views, {}, options);
+  ASSERT_EQ(round.samples.size(), 1U);
+  ASSERT_EQ(round.valid, 32U * 32U);
+  // It stands for all that the picture shows.
+  EXPECT_NEAR(round.samples.spacing_m[0], 2 * 2 * std::tan(0.25F), 0.02F);
+}
+
 TEST(Budget, KeepsExactlyTheBudgetEvenly) {
   const auto views = AnalyticScene{}.render_all(small_dome());
   const SampledRound round = sample(views, {}, {.budget = 3000});
@@ -163,6 +175,30 @@ TEST(Sampling, ColoursAreLinearAndFreeOfBackground) {
   ASSERT_GT(round.samples.size(), 100U);
   EXPECT_NEAR(round.samples.color[0].x, 0, 0.02F);
   EXPECT_NEAR(round.samples.albedo[0].x, linear_from_srgb(200.0F / 255), 1e-4F);
+}
+
+TEST(Sampling, TheShareOfTheBackgroundThatAPixelShowsIsTakenOut) {
+  const AnalyticScene scene{.ball_centre = {9, 9, 9}, .sheet_centre = {9, 9, 9}};
+  auto views = scene.render_all({look_at({0, 2, 0.01F}, {0, 0, 0}, 8, 8, 0.5F)});
+  const glm::vec3 surface(0.6F, 0.3F, 0.1F), background(0.2F, 0.5F, 0.9F);
+  constexpr std::uint8_t kCoverage = 153;  // three fifths
+  const auto as_byte = [](float linear) {
+    return static_cast<std::uint8_t>(std::lround(255 * srgb_from_linear(linear)));
+  };
+  const glm::vec3 seen = 0.6F * surface + 0.4F * background, on_black = 0.6F * surface;
+  views[0].light.background = background;
+  for (std::size_t i = 0; i < views[0].pixels(); ++i) {
+    views[0].color[i] = {as_byte(seen.x), as_byte(seen.y), as_byte(seen.z), kCoverage};
+    views[0].albedo[i] = {as_byte(on_black.x), as_byte(on_black.y), as_byte(on_black.z), kCoverage};
+  }
+  const SampledRound round = sample(views, {}, unlimited());
+  ASSERT_GT(round.samples.size(), 10U);
+  for (std::size_t i = 0; i < round.samples.size(); ++i) {
+    for (int c = 0; c < 3; ++c) {
+      ASSERT_NEAR(round.samples.color[i][c], surface[c], 0.01F) << "a byte's rounding";
+      ASSERT_NEAR(round.samples.albedo[i][c], surface[c], 0.01F);
+    }
+  }
 }
 
 TEST(Sampling, OfNothingIsNothing) {
