@@ -103,6 +103,13 @@ TEST_F(FreezerTest, ItTrainsAgainWhereItsLossRises) {
   EXPECT_EQ(state(0), PageState::Frozen);
 }
 
+TEST_F(FreezerTest, WhatHasAlmostNoLossMayHaveSeveralTimesThat) {
+  for (int s = 0; s < 6; ++s) (void)second({0.0005});
+  ASSERT_EQ(state(0), PageState::Frozen);
+  EXPECT_TRUE(second({0.004}).thaw.empty()) << "no grey level more";
+  EXPECT_EQ(second({0.006}).thaw, std::vector{pages_[0]});
+}
+
 TEST_F(FreezerTest, ItTrainsAgainWhenAViewComesNearer) {
   for (int s = 0; s < 6; ++s) (void)second({0.1}, 8, 3);
   ASSERT_EQ(state(0), PageState::Frozen);
@@ -252,6 +259,19 @@ TEST_F(FreezerTest, ItTrainsAgainUnderAnotherLight) {
   EXPECT_EQ(second({0.1}).thaw, std::vector{pages_[0]}) << "the others were not seen";
   for (int s = 0; s < 6; ++s) EXPECT_TRUE(second({0.1}).freeze.empty()) << s << ": it is to settle anew";
   EXPECT_EQ(second({0.1}).freeze, std::vector{pages_[0]});
+}
+
+TEST_F(FreezerTest, AFlashIsNoOtherLight) {
+  turn_sun(0);
+  for (int s = 0; s < 6; ++s) (void)second({0.1});
+  ASSERT_EQ(state(0), PageState::Frozen);
+  EXPECT_TRUE(second({0.1}, 5).thaw.empty()) << "too few looks as yet";
+  turn_sun(90);
+  EXPECT_TRUE(second({0.1}, 3).thaw.empty()) << "three of eight";
+  turn_sun(0);
+  EXPECT_TRUE(second({0.1}, 4).thaw.empty());
+  turn_sun(90);
+  EXPECT_EQ(second({0.1}, 4).thaw, std::vector{pages_[0]}) << "half of them";
 }
 
 TEST_F(FreezerTest, NothingRestsWhileTheLightTurns) {

@@ -83,6 +83,8 @@ TEST_P(InsertRowsOn, NormalisesAndClampsTheRest) {
   batch.albedo[2] = 1.5F;
   batch.visibility[2] = -0.25F;
   batch.opacity_logit[2] = 100.0F;
+  batch.log_scale[3] = 50.0F;
+  batch.log_scale[2 * 4] = -50.0F;
   batch = checked(batch);
   float square = 0;
   for (std::size_t c = 0; c < 4; ++c) square += batch.rotation[c * 4 + 1] * batch.rotation[c * 4 + 1];
@@ -90,6 +92,10 @@ TEST_P(InsertRowsOn, NormalisesAndClampsTheRest) {
   EXPECT_FLOAT_EQ(batch.albedo[2], 1.0F);
   EXPECT_FLOAT_EQ(batch.visibility[2], 0.0F);
   EXPECT_LT(batch.opacity_logit[2], 20.0F);
+  EXPECT_LT(std::exp(batch.log_scale[3]), 3000.0F) << "metres";
+  EXPECT_GT(std::exp(batch.log_scale[3]), 1000.0F);
+  EXPECT_GT(std::exp(batch.log_scale[2 * 4]), 1e-7F);
+  EXPECT_FLOAT_EQ(std::exp(batch.log_scale[0]), 0.1F) << "as it was";
 }
 
 std::string name_of_param(const testing::TestParamInfo<Device>& device) {

@@ -300,6 +300,37 @@ TEST_F(CpuOptimizerTest, APruningLeavesTheOthersWhatTheyGathered) {
   EXPECT_EQ(std::count(x, x + after.count(), 1e4F), 1);
 }
 
+TEST_F(CpuOptimizerTest, WhatAGaussianGatheredMovesAlongWhereAPruningMovesIt) {
+  Trial s = trial({{"densify", "true"},
+                   {"densify_interval", "6"},
+                   {"densify_gradient", "1e-9"},
+                   {"densify_scale", "1000"},  // clones only
+                   {"prune_interval", "5"},
+                   {"prune_min_age", "5"},
+                   {"lr_opacity", "0"}});
+  const HostModel before = s.model();
+  const std::uint32_t end = s.store().view().count;
+  std::size_t last = 0, first = 0;  // by place in the page
+  for (std::size_t k = 0; k < before.count(); ++k) {
+    if (before.index(k) + 1 == end) last = k;
+    if (before.index(k) == 3) first = k;
+  }
+  constexpr float kMarked = 1.25F;
+  s.poke(ParameterLayout::kOpacityLogit, first, -9.0F);   // in no picture, and pruned
+  s.poke(ParameterLayout::kOpacityLogit, last, kMarked);  // in pictures, and moved to its place
+  for (int c = 0; c < 3; ++c) s.poke(ParameterLayout::kMean + c, last, c == 1 ? 0.4F : 0.0F);
+  s.train(5);
+  ASSERT_EQ(s.store().count(), before.count() - 1);
+  TrainingView away = *scene_.views()[0];
+  away.camera.world_from_camera.translation.y += 100;
+  s.step({&away});
+  s.optimizer().finish();
+  const HostModel after = s.model();
+  EXPECT_GT(after.count(), before.count() + 100) << "others were cloned";
+  const float* const logit = after.live().plane(ParameterLayout::kOpacityLogit);
+  EXPECT_EQ(std::count(logit, logit + after.count(), kMarked), 2) << "and so was the one that had moved";
+}
+
 TEST_F(CpuOptimizerTest, OriginalsThatMoveAwayAreSplitAllTheSame) {
   scene_ = SyntheticScene(1500, 2, 48);
   Trial s = trial({{"densify", "true"},
