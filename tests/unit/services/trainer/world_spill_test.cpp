@@ -252,6 +252,57 @@ TEST_P(WorldSpillTest, BeyondTheDiskTheFarthestIsForgottenAndSeenAnew) {
   }
 }
 
+/// What is on its way to the disk may change meanwhile: it leaves another time, as it is then.
+TEST_P(WorldSpillTest, WhatChangesWhileItIsWrittenStaysUntilTheFolderHasItAsItIs) {
+  start();
+  for (int h = 0; store_->page_count() < kPages; ++h) {
+    ASSERT_LT(h, 40);
+    stand(10.0F * static_cast<float>(h) + 5);
+    const model::Batch batch = heap(h);
+    insert(*store_, batch, static_cast<std::uint64_t>(h) + 1);
+    truth_.insert(batch, batch.count);
+  }
+  keeper_->turn();  // all pages are on their way, and the farthest are to leave
+  std::vector<std::uint64_t> ids;
+  std::vector<std::uint32_t> indices;
+  std::set<std::uint32_t> changed;
+  for (const auto& [id, place] : Found(*store_).by_id) {
+    if (!changed.insert(place.index / kPageLanes).second) continue;
+    ids.push_back(id);
+    indices.push_back(place.index);
+  }
+  model::remove(*store_, indices);
+  truth_.remove(ids);
+  ASSERT_EQ(keeper_->stats().rounds, 0U);
+  ASSERT_TRUE(turn_until([&] { return keeper_->stats().rounds > 0; }));
+  expect_everybody();
+  ASSERT_TRUE(turn_until([&] { return keeper_->stats().spilled_pages > 0; }));
+  expect_everybody();
+}
+
+TEST_P(WorldSpillTest, WhatWasOnDiskAloneStaysThereAtAStartThoughThereIsRoom) {
+  start();
+  walk_out();
+  std::vector<std::uint64_t> ids;
+  std::vector<std::uint32_t> indices;
+  for (const auto& [id, place] : Found(*store_).by_id) {
+    if (place.gaussian.values[0] > 360) continue;
+    ids.push_back(id);
+    indices.push_back(place.index);
+  }
+  model::remove(*store_, indices);
+  truth_.remove(ids);
+  const std::set<world::PageKey> here = pages_here();
+  const std::uint64_t spilled = keeper_->stats().spilled_pages;
+  ASSERT_LT(here.size(), kPages / 2);
+  ASSERT_GT(spilled, 10U);
+  end(true);
+  start();
+  EXPECT_EQ(pages_here(), here);
+  EXPECT_EQ(keeper_->stats().spilled_pages, spilled);
+  expect_everybody();
+}
+
 /// With more to come back than there is room for, what is near takes the place of what is far.
 TEST_P(WorldSpillTest, ThereIsRoomForWhatIsNearWhereAllIsToComeBack) {
   start(0, 1000);
