@@ -58,8 +58,15 @@ TEST_F(TokenFile, WhatIsWrongIsNamedWithItsLine) {
   EXPECT_THAT(refusal("view\n"), HasSubstr("tokens:1:"));
   EXPECT_THAT(refusal("view " + hash.substr(1)), HasSubstr("tokens:1:"));
   EXPECT_THAT(refusal("view " + hash.substr(1) + "g"), HasSubstr("tokens:1:"));
-  EXPECT_THAT(refusal("view " + hash, 0622), HasSubstr("others than its owner may write"));
   EXPECT_THROW(Tokens("/nonexistent/tokens"), std::runtime_error);
+}
+
+TEST_F(TokenFile, AFileThatOthersThanItsOwnerMayWriteToIsRefused) {
+  const std::string text = std::string("view ") + kHashOfAbc;
+  for (const mode_t mode : {0620, 0602, 0622}) {
+    EXPECT_THAT(refusal(text, mode), HasSubstr("others than its owner may write")) << std::oct << mode;
+  }
+  EXPECT_EQ(refusal(text, 0644), "") << "to read it is no harm: it has hashes";
 }
 
 TEST_F(TokenFile, AChangeCountsAndABrokenFileLetsNobodyIn) {
