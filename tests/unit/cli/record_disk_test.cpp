@@ -3,6 +3,7 @@
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
+#include <atomic>
 #include <filesystem>
 #include <future>
 
@@ -32,15 +33,19 @@ class RecordDiskTest : public RecordTest {
 /// A disk that takes nothing until it is let.
 class SlowDisk : public mcap::Output {
  public:
-  SlowDisk(std::shared_future<void> open, const std::filesystem::path& path)
-      : open_(std::move(open)), file_(mcap::create_file(path)) {}
+  SlowDisk(std::shared_future<void> open, const std::filesystem::path& path, std::atomic<bool>* waits = nullptr)
+      : open_(std::move(open)), waits_(waits), file_(mcap::create_file(path)) {}
   void write(std::span<const std::byte> bytes) override {
-    if (bytes.size() > 4096) open_.wait();
+    if (bytes.size() > 4096) {
+      if (waits_ != nullptr) *waits_ = true;
+      open_.wait();
+    }
     file_->write(bytes);
   }
 
  private:
   std::shared_future<void> open_;
+  std::atomic<bool>* waits_;
   std::unique_ptr<mcap::Output> file_;
 };
 
@@ -84,6 +89,42 @@ TEST_F(RecordDiskTest, ASlowDiskCostsMessagesAndNoMemory) {
     if (metadata.name == kDropsMetadata) said = metadata.values.at("pictures");
   }
   EXPECT_EQ(said, std::to_string(record.slow_disk) + " (slow disk " + std::to_string(record.slow_disk) + ")");
+}
+
+TEST_F(RecordDiskTest, WhatIsLatchedFindsRoomWhereNothingElseDoes) {
+  std::promise<void> open;
+  std::atomic<bool> disk_waits = false;
+  RecorderOptions options;
+  options.topics = {"numbers", "light"};
+  options.queue_bytes = 64 << 10;
+  options.file = to_file(path());
+  options.file.writer.chunk_bytes = 8 << 10;
+  options.file.writer.compression_level = 0;
+  options.file.open = [&, gate = open.get_future().share()](unsigned) {
+    return std::make_unique<SlowDisk>(gate, path(), &disk_waits);
+  };
+  const auto engine = connect("engine");
+  bus_test::NumberPublisher numbers(engine, "numbers"), light(engine, "light");
+  const auto slab = engine->create_slab("ring", 4, 8 << 10);
+  const auto recorder = record(options);
+  std::uint64_t published = 0;
+  const auto publish_until = [&](const auto& condition) {
+    while (!condition()) {
+      publish_number(numbers, published++);
+      poll_until(*recorder, "numbers", published);
+      ASSERT_LT(published, 20'000U);
+    }
+  };
+  publish_until([&] { return disk_waits.load(); });  // from here on the queue only grows
+  const std::uint64_t before = recorder->state().topics.at("numbers").slow_disk;
+  publish_until([&] { return recorder->state().topics.at("numbers").slow_disk > before; });
+  // Less than the last eighth, and more than one of the numbers.
+  publish_number(light, 1, true, "", {bus_test::write_floats(*slab, std::vector<float>(1500))});
+  poll_until(*recorder, "light", 1);
+  EXPECT_EQ(recorder->state().topics.at("light").messages, 1U);
+  EXPECT_LE(recorder->state().most_queued_bytes, options.queue_bytes);
+  open.set_value();
+  recorder->finish();
 }
 
 /// What a file says is missing, by topic.
@@ -196,7 +237,7 @@ TEST_F(RecordDiskTest, EachPartOfASplitRecordingStandsAlone) {
   }
   recorder->finish();
   ASSERT_EQ(recorder->state().total().dropped(), 0U);
-  std::uint64_t read = 0;
+  std::uint64_t read = 0, end = 0;
   for (unsigned i = 0; i < recorder->state().parts; ++i) {
     const std::string part = i == 0 ? path().string() : path().string() + std::to_string(i);
     mcap::Reader reader(part);
@@ -208,6 +249,8 @@ TEST_F(RecordDiskTest, EachPartOfASplitRecordingStandsAlone) {
       });
     }
     EXPECT_TRUE(std::ranges::count(topics, "light") == 1) << part;
+    EXPECT_GE(reader.summary().statistics.message_start_time, end) << part << " has times of the one before it";
+    end = reader.summary().statistics.message_end_time;
     read += static_cast<std::uint64_t>(std::ranges::count(topics, "numbers"));
   }
   EXPECT_EQ(read, published);

@@ -4,6 +4,7 @@
 #include <filesystem>
 #include <future>
 
+#include "../bus/fake_broker.h"
 #include "../bus/slab_helpers.h"
 #include "record_fixture.h"
 #include "wire/scene_generated.h"
@@ -170,6 +171,18 @@ TEST_F(RecordTest, ATensorThatIsGoneIsCounted) {
   recorder->finish();
   EXPECT_EQ(recorder->state().topics.at("pictures").overwritten, 1U);
   EXPECT_EQ(recorder->state().topics.at("pictures").messages, 1U);
+}
+
+TEST_F(RecordTest, OfANumberedRowAsManyAreLostAsAreMissing) {
+  const auto recorder = record();
+  bus_test::RawPublisher raw(directory_.address().publish_endpoint());
+  for (const std::uint64_t sequence : {3U, 4U, 6U, 7U, 11U}) {
+    raw.send({"numbers", bus_test::probe_body(sequence, sequence)});
+  }
+  poll_until(*recorder, "numbers", 9);
+  recorder->finish();
+  EXPECT_EQ(recorder->state().topics.at("numbers").messages, 5U);
+  EXPECT_EQ(recorder->state().topics.at("numbers").lost, 4U) << "5, 8, 9, 10; of those before the first nobody knows";
 }
 
 TEST_F(RecordTest, SourcesThatSpeakForThemselvesAreNotPlayed) {
