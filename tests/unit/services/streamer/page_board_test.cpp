@@ -121,6 +121,36 @@ TEST_F(ViewerFeedTest, AManifestSaysTheBytesOfWhatIsEncoded) {
   EXPECT_EQ(said(2), in_parts);
 }
 
+TEST_F(ViewerFeedTest, AsManyDeltasAreKeptAsThereIsRoomForThroughoutALongHistory) {
+  constexpr std::size_t kRoom = std::size_t{1} << 18;
+  PageBoard board(server_.stream, kRoom);
+  std::set<std::uint32_t> pages;
+  for (const stream::OfferedPage& page : *server_.stream.offered()) {
+    (void)server_.stream.page_packets(page.page);
+    pages.insert(page.page);
+  }
+  std::size_t all = 0, largest = 0;
+  for (int tick = 0; all < 6 * kRoom; ++tick) {
+    ASSERT_LT(tick, 200);
+    server_.train(0.02F);
+    ASSERT_TRUE(server_.stream.observe(server_.model().view()));
+    server_.stream.set_holders(pages);
+    server_.stream.make_tick(1e9, {});
+    stream::StreamUpdate update = server_.stream.take_update();
+    for (const auto& delta : update.deltas) {
+      all += delta.packet.bytes();
+      largest = std::max(largest, delta.packet.bytes());
+    }
+    std::vector<stream::OfferedPage> changed;
+    (void)board.add(std::move(update), changed);
+    std::size_t kept = 0;
+    for (const SharedDelta& delta : board.deltas()) kept += delta.packet->bytes();
+    EXPECT_LE(kept, kRoom);
+    EXPECT_GE(kept, std::min(all, kRoom - largest)) << "after " << all << " bytes";
+  }
+  EXPECT_LT(4 * largest, kRoom);
+}
+
 // What is read by somebody who goes on with it by nothing is followed without a packet.
 TEST_F(ViewerFeedTest, OfAPageThatWasOnlyReadNoDeltaIsMade) {
   std::vector<stream::OfferedPage> changed;

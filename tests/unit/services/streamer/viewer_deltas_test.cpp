@@ -130,6 +130,54 @@ TEST_F(ViewerDeltasTest, ASlowViewerIsWholeWhenTheModelRests) {
   expect_exact(server_.stream, slow.replica);
 }
 
+/// Of two pages, of which one has changed twice: the first time by little.
+TEST_F(ViewerDeltasTest, WhatALargeChangeGoesOnFromGoesBeforeOtherPagesChanges) {
+  std::vector<stream::OfferedPage> all(server_.stream.offered()->begin(), server_.stream.offered()->begin() + 2);
+  all[1].bounds = all[0].bounds;  // as large in any picture
+  stream::StreamUpdate update;
+  std::vector<stream::PageVersion> held;
+  const auto change = [&](std::size_t k, float steps) {
+    stream::DeltaPacket delta;
+    delta.packet = stream::PacketWriter("streamer", 1).write(76, 0, wire::Body::Keepalive, [](auto& builder) {
+      return wire::CreateKeepalive(builder);
+    });
+    delta.packet.payload.resize(6000 + update.deltas.size());
+    stream::OfferedPage& page = all[k];
+    delta.steps.push_back({.page = page.page,
+                           .base = page.page,
+                           .from_version = page.version,
+                           .version = page.version + 1,
+                           .count = page.count,
+                           .steps = steps});
+    ++page.version;
+    update.deltas.push_back(std::move(delta));
+  };
+  const auto offer = [&] {
+    std::vector<stream::OfferedPage> changed;
+    (void)board_.add(std::exchange(update, {}),
+                     {.all = std::make_shared<const std::vector<stream::OfferedPage>>(all), .of_others = {}}, changed);
+  };
+  offer();
+  for (const stream::OfferedPage& page : all) held.push_back({page.page, page.version});
+  ViewerFeed feed(stream::kMaxGaussians);
+  feed.rate().set(100, 0, 0);  // a plan is for two of the three
+  feed.resume(board_, held, true);
+  change(0, 0.01F);
+  change(0, 1);
+  change(1, 0.1F);
+  offer();
+  std::vector<std::size_t> sent, made;
+  for (std::int64_t now_ns = kSecond; now_ns < 5 * kSecond; now_ns += kStep) {
+    while (const SharedPacket packet = feed.next(server_.stream, board_, std::nullopt, {}, now_ns)) {
+      feed.sent(now_ns);
+      sent.push_back(packet->bytes());
+    }
+  }
+  for (const SharedDelta& delta : board_.deltas()) made.push_back(delta.packet->bytes());
+  ASSERT_EQ(made.size(), 3U);
+  EXPECT_EQ(sent, made);
+}
+
 TEST_F(ViewerDeltasTest, DeltasThatWaitGoOutInTheOrderInWhichTheyWereMade) {
   Seat seat(1e6);
   sit(seat);

@@ -114,6 +114,70 @@ TEST_F(ViewerFeedTest, APacketIsLostOnceHoweverOftenAViewerSaysSo) {
   EXPECT_EQ(seat.feed.lost_packets(), 1U);
 }
 
+TEST_F(ViewerFeedTest, WhatIsOnItsWayIsNotSentAgainForWhatAViewerLackedBefore) {
+  Seat seat(1e6);
+  sit(seat);
+  live({&seat}, 1, -1);
+  const std::size_t pages = board_.offered().size();
+  ASSERT_EQ(seat.feed.whole_pages(), pages);
+  const std::uint64_t before = seat.feed.next_sequence() - 1;
+  tick({&seat});
+  seat.read(server_.stream, board_, now_ns_);
+  ASSERT_EQ(seat.replica.held().find(0)->version, board_.find(0)->version) << "a delta has gone";
+  const auto lacks_page_0 = [&](std::uint64_t newest) {
+    (void)seat.feed.acknowledge({.newest = newest, .missing = {}, .lacks = {{0, 0}}, .dropped = {}}, server_.stream,
+                                now_ns_ += kSecond);
+    seat.read(server_.stream, board_, now_ns_);
+  };
+  lacks_page_0(before);
+  EXPECT_EQ(seat.feed.refused_pages(), 0U);
+  EXPECT_EQ(seat.feed.whole_pages(), pages);
+  lacks_page_0(seat.feed.next_sequence() - 1);
+  EXPECT_EQ(seat.feed.refused_pages(), 1U);
+  EXPECT_EQ(seat.feed.whole_pages(), pages + 1);
+}
+
+TEST_F(ViewerFeedTest, WhatWasLostTakesNoRoomFromWhatComesAgain) {
+  Seat seat(1e6, 12'100);
+  sit(seat);
+  seat.lost = wire::Body::Page;
+  seat.lose = 3;
+  live({&seat}, 2.1, -1);
+  EXPECT_EQ(seat.feed.lost_packets(), 3U);
+  EXPECT_EQ(seat.replica.count(), 12'000U);
+  expect_exact(server_.stream, seat.replica);
+}
+
+TEST_F(ViewerFeedTest, WhatIsSaidOfLightsAfterLanesHaveChangedIsSaidOnce) {
+  Seat seat(1e6);
+  sit(seat);
+  live({&seat}, 1, -1);
+  server_.remove(100);
+  tick({&seat}, 0);
+  live({&seat}, 0.2, -1);
+  std::set<std::uint32_t> others;
+  for (const auto& [number, page] : seat.replica.held().pages) {
+    if (page.structure == server_.stream.status().version) others.insert(number);
+  }
+  ASSERT_FALSE(others.empty()) << "no lanes have changed";
+  std::vector<std::uint8_t> seen = server_.relit();
+  for (std::uint8_t& value : seen) value = 255 - value;
+  seat.sent.clear();
+  std::ptrdiff_t packets = 0;
+  for (auto& packet : server_.take_visibility(seen, server_.scene.version + 1)) {
+    for (const wire::SeenPage& page : packet.pages) others.erase(page.page());
+    seat.feed.push_visibility(std::make_shared<WirePacket>(packet.packet),
+                              std::make_shared<const std::vector<wire::SeenPage>>(packet.pages));
+    ++packets;
+  }
+  EXPECT_TRUE(others.empty()) << "nothing was said of some of them";
+  live({&seat}, 0.5, 0);  // with ticks, so that it is planned anew
+  live({&seat}, 0.2, -1);
+  EXPECT_EQ(std::ranges::count(seat.sent, wire::Body::LightVisibility, &std::pair<wire::Body, std::size_t>::first),
+            packets);
+  expect_exact(server_.stream, seat.replica);
+}
+
 TEST_F(ViewerFeedTest, WhoComesBackIsSentWhatHasChanged) {
   Seat before(1e6), stays(1e6);
   sit(before);

@@ -134,6 +134,24 @@ TEST(ViewerRate, NoSecondHasMoreThanATenthAboveALowRate) {
   }
 }
 
+// The bucket holds 12.5 kB, and what is larger goes when that is there.
+TEST(ViewerRate, WhatIsLargerThanTheBurstTakesNoMoreThanTheRate) {
+  constexpr double kBytes_s = 125'000, kSeconds = 10;
+  for (const double packet : {13'000.0, 20'000.0, 60'000.0}) {
+    ViewerRate rate;
+    rate.set(1000, 0, kSecond);
+    double all = 0;
+    std::uint64_t sequence = 0;
+    for (std::int64_t now_ns = kSecond; now_ns < kSecond + static_cast<std::int64_t>(kSeconds * 1e9); now_ns += kStep) {
+      if (rate.available(now_ns) < std::min(packet, 0.999 * rate.burst())) continue;
+      rate.take(++sequence, packet, now_ns);
+      all += packet;
+    }
+    EXPECT_LE(all, kBytes_s * kSeconds + packet) << packet;
+    EXPECT_GT(all, 0.9 * kBytes_s * kSeconds) << packet << ": the rate was not used";
+  }
+}
+
 TEST(ViewerRate, WhatIsLargerThanASecondDoesNotWaitForKeepalivesToEnd) {
   ViewerRate rate;
   rate.set(100, 0, kSecond);
