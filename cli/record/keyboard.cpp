@@ -6,6 +6,7 @@
 #include <unistd.h>
 
 #include <array>
+#include <atomic>
 #include <cerrno>
 #include <chrono>
 #include <utility>
@@ -19,6 +20,7 @@ constexpr std::chrono::milliseconds kTurn(50);
 // A signal's handler is given nothing but these.
 termios kept_modes;
 volatile sig_atomic_t modes_changed = 0;
+std::atomic<pid_t> taking_thread = 0;  // its number, while there is one
 
 bool is_in_foreground() {
   return ::tcgetpgrp(STDIN_FILENO) == ::getpgrp();
@@ -29,8 +31,13 @@ void give_back() {
   modes_changed = 0;
 }
 
+/// In the thread that takes the terminal over, wherever the signal came: another one would give it back and have it
+/// taken again before the program has ended.
 void give_back_and_end(int signal) {
+  const pid_t taker = taking_thread;
+  if (taker != 0 && taker != ::gettid() && ::tgkill(::getpid(), taker, signal) == 0) return;
   give_back();
+  ::signal(signal, SIG_DFL);
   ::raise(signal);
 }
 
@@ -55,7 +62,6 @@ bool Keyboard::is_there() {
 Keyboard::Keyboard(std::function<void(char)> typed) : typed_(std::move(typed)) {
   struct sigaction action {};
   action.sa_handler = give_back_and_end;
-  action.sa_flags = static_cast<int>(SA_RESETHAND);
   ::sigaction(SIGQUIT, &action, nullptr);
   thread_ = std::jthread([this](const std::stop_token& stop) { run(stop); });
 }
@@ -68,6 +74,12 @@ Keyboard::~Keyboard() {
 }
 
 void Keyboard::run(const std::stop_token& stop) {
+  taking_thread = ::gettid();
+  read_keys(stop);
+  taking_thread = 0;
+}
+
+void Keyboard::read_keys(const std::stop_token& stop) {
   while (!stop.stop_requested()) {
     // Who reads a terminal, or sets it, from the background is stopped.
     if (!is_in_foreground()) {

@@ -24,6 +24,7 @@ class Keyboard {
 
  private:
   void run(const std::stop_token& stop);
+  void read_keys(const std::stop_token& stop);
   void take(char byte);
 
   const std::function<void(char)> typed_;
