@@ -76,12 +76,21 @@ TEST_F(SharingFaults, OneThatWasStuckTakesItsPagesBack) {
 TEST_F(SharingFaults, WhatTheBrokerKnowsToHaveEndedIsNotWaitedFor) {
   beat(wire::ServiceState::Running);
   ASSERT_TRUE(stands_until([&] { return shows_model(*viewer_); }));
-  const auto begin = std::chrono::steady_clock::now();
   stepped_.reset();
   beat(wire::ServiceState::Stopping);
   move_model();
-  ASSERT_TRUE(stands_until([&] { return shows_model(*viewer_); }));
-  EXPECT_LT(std::chrono::steady_clock::now() - begin, 2500ms) << "silence alone says so after three seconds";
+  // Under its name somebody goes on to speak: by silence nobody would ever know.
+  const bus::Publisher echo(process_);
+  std::uint32_t version = 0;
+  for (const auto& [page, held] : viewer_->replica().held_pages()) version = std::max(version, held);
+  ASSERT_TRUE(stands_until([&] {
+    echo.publish(topics::kStreamShare, [&](auto& builder, auto header) {
+      const auto none = builder.CreateVectorOfStructs(std::vector<wire::SharePage>());
+      return wire::CreateStreamShare(builder, header, epoch_, wire::Appearance::Transfer, 0, mean_step(), true, false,
+                                     version, false, 0, 0, 0, false, none, 0, 0);
+    });
+    return shows_model(*viewer_);
+  }));
 }
 
 TEST_F(SharingFaults, WhoSaysWhatCannotBeTakesNoPage) {

@@ -54,12 +54,16 @@ class SharingTest : public StreamerTest {
     return viewer_at(streamer.endpoints().front());
   }
 
-  /// Polls all viewers, listens, and turns what the test's clock moves.
+  /// Polls all viewers, listens, and turns what the test's clock moves: by as much as has passed at least, for who
+  /// shares with it has the real one, and takes it for gone when it is silent for 3 s of that.
   bool until(const std::vector<StreamClient*>& viewers, const std::function<bool()>& condition) {
     const auto deadline = std::chrono::steady_clock::now() + bus_test::patience;
+    auto turned = std::chrono::steady_clock::now();
     while (!condition()) {
       listener_.dispatch_all(0ms);
-      if (stepped_) stepped_->turn(0.02);
+      const auto now = std::chrono::steady_clock::now();
+      const double passed_s = std::chrono::duration<double>(now - std::exchange(turned, now)).count();
+      if (stepped_) stepped_->turn(std::max(0.02, passed_s));
       for (StreamClient* viewer : viewers) viewer->poll(5ms);
       if (std::chrono::steady_clock::now() > deadline) return false;
     }

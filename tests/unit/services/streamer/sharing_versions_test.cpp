@@ -21,15 +21,6 @@ class SharingVersions : public SharingTest {
     disturb(model_, random_);
     trainer_.publish(model_);
   }
-  bool soon(const std::function<bool()>& condition) {
-    const auto end = std::chrono::steady_clock::now() + 20s;
-    bool came = false;
-    const bool went = until({viewer_.get()}, [&] {
-      came = condition();
-      return came || std::chrono::steady_clock::now() > end;
-    });
-    return went && came;
-  }
   void claim(const bus::Publisher& liar, std::uint64_t epoch, std::uint32_t version, bool encodes, bool pages) {
     liar.publish(topics::kStreamShare, [&](auto& builder, auto header) {
       std::vector<wire::SharePage> all;
@@ -52,16 +43,16 @@ class SharingVersions : public SharingTest {
 TEST_F(SharingVersions, OneThatIsStartedAgainAtOnceUsesNoVersionAgain) {
   for (int k = 0; k < 10; ++k) {
     move_model();
-    ASSERT_TRUE(soon([&] { return shows_model(*viewer_); }));
+    ASSERT_TRUE(until({viewer_.get()}, [&] { return shows_model(*viewer_); }));
   }
   stepped_.reset();
   process_.reset();
   process_ = connect(kTwo);
   stepped_ = std::make_unique<SteppedStreamer>(process_, changes_of({}));
   said_[kTwo] = {};
-  ASSERT_TRUE(soon([&] { return said_[kTwo].messages > 3; }));
+  ASSERT_TRUE(until({viewer_.get()}, [&] { return said_[kTwo].messages > 3; }));
   move_model();
-  EXPECT_TRUE(soon([&] { return shows_model(*viewer_) && divided({kOne, kTwo}, *viewer_); }));
+  EXPECT_TRUE(until({viewer_.get()}, [&] { return shows_model(*viewer_) && divided({kOne, kTwo}, *viewer_); }));
   EXPECT_EQ(viewer_->replica().epoch(), epoch_);
   EXPECT_EQ(viewer_->refused(), 0U);
 }
@@ -77,7 +68,9 @@ TEST_F(SharingVersions, OneThatWasReleasedJoinsTheStreamThatItLeft) {
     return same;
   };
   move_model();
-  EXPECT_TRUE(soon([&] { return stays() && shows_model(*viewer_) && divided({kOne, kTwo}, *viewer_); }));
+  EXPECT_TRUE(until({viewer_.get()}, [&] {
+    return stays() && shows_model(*viewer_) && divided({kOne, kTwo}, *viewer_);
+  }));
   EXPECT_TRUE(same);
 }
 
@@ -85,7 +78,7 @@ TEST_F(SharingVersions, OnesPagesAreNotThoseOfTheOneBeforeUnderItsName) {
   constexpr std::uint32_t kVersion = 150U << 18U;
   auto liar = std::make_unique<bus::Publisher>(connect("streamer-9"));
   claim(*liar, epoch_, kVersion, false, false);
-  ASSERT_TRUE(soon([&] { return said_["streamer-9"].messages > 0; }));
+  ASSERT_TRUE(until({viewer_.get()}, [&] { return said_["streamer-9"].messages > 0; }));
   const std::size_t heard = said_["streamer-9"].messages;
   liar.reset();
   bus::Publisher second(connect("streamer-9"));
@@ -118,12 +111,12 @@ TEST_F(SharingVersions, WhereVersionsRunOutAnotherStreamBegins) {
   bus::Publisher liar(connect("streamer-9"));
   constexpr std::uint32_t kBlock = 1U << 18U;
   claim(liar, epoch_, 0xFFFFFFFFU / kBlock * kBlock - 1, false, false);
-  EXPECT_TRUE(soon([&] {
+  EXPECT_TRUE(until({viewer_.get()}, [&] {
     return viewer_->replica().epoch() != epoch_ && said_[kOne].epoch == said_[kTwo].epoch && shows_model(*viewer_) &&
            divided({kOne, kTwo}, *viewer_);
   }));
   move_model();
-  EXPECT_TRUE(soon([&] { return shows_model(*viewer_); }));
+  EXPECT_TRUE(until({viewer_.get()}, [&] { return shows_model(*viewer_); }));
 }
 
 TEST_F(SharingTest, ThoseThatAreCutOffUseVersionsOfTheirOwn) {
