@@ -45,7 +45,7 @@ std::vector<std::uint32_t> PageStore::restore(std::span<const PageContent> pages
   }
   bound(changes);
   sort_directory();
-  apply(changes, std::max(this->next_gaussian_id(), next_gaussian_id), std::nullopt);
+  apply(changes, next_gaussian_id, std::nullopt);
   return placed;
 }
 

@@ -126,6 +126,41 @@ TEST_P(PageChangeTest, PagesThatRemovalsLeftSparseAreMerged) {
   expect_sound();
 }
 
+TEST_P(PageChangeTest, APageThatRestsIsMergedWithNoOther) {
+  start(60000);
+  const Batch batch = make_batch(random_, 20000, false, 1);
+  insert(*store_, batch, 1);
+  truth_.insert(batch, batch.count);
+  const auto ids = some_ids(19000);
+  remove(*store_, indices_of(ids));
+  truth_.remove(ids);
+  // All are sparse. Along the curve every third rests, so that each has one that trains before it and one behind.
+  std::map<std::pair<std::uint64_t, std::uint64_t>, std::uint32_t> along;
+  for (const IndexRange& range : store_->view().ranges) {
+    const PageStructure& page = store_->table().entry(range.first / kPageLanes).now;
+    along[{page.morton_first, page.id_first}] = range.first / kPageLanes;
+  }
+  std::vector<std::uint32_t> resting;
+  std::size_t k = 0;
+  for (const auto& [key, page] : along) {
+    if (k++ % 3 == 1) resting.push_back(page);
+  }
+  ASSERT_GT(resting.size(), 5U);
+  store_->freeze(resting);
+  const std::size_t pages = store_->page_count();
+  Where of_resting;
+  for (const auto& [id, index] : where()) {
+    if (std::count(resting.begin(), resting.end(), index / kPageLanes) > 0) of_resting[id] = index;
+  }
+  store_->merge();
+  EXPECT_LT(store_->page_count(), pages) << "those that train were";
+  Where there;
+  for (const auto& [id, index] : where()) {
+    if (std::count(resting.begin(), resting.end(), index / kPageLanes) > 0) there[id] = index;
+  }
+  EXPECT_EQ(there, of_resting);
+}
+
 TEST_P(PageChangeTest, WhereTheFirstPageOfAFrameIsGoneTheNextTakesWhatComesBeforeIt) {
   start(60000);
   for (std::uint64_t round = 0; round < 2; ++round) {

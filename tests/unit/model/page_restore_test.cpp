@@ -254,6 +254,27 @@ TEST_P(PageRestoreTest, WhatIsTakenOutIsNotPutInTwiceAndComesBack) {
   }
 }
 
+TEST_P(PageRestoreTest, WhatWasKeptLongAgoGivesNoIdASecondTime) {
+  start(100000);
+  fill(1);
+  const std::vector<std::uint32_t> out{pages().front()};
+  const Kept kept = keep(out.front());
+  const std::uint64_t next_id = store_->next_gaussian_id();
+  store_->take_out(out);
+  const auto insert_elsewhere = [&](std::uint32_t frame) {
+    Batch batch = make_batch(random_, 2000, true, 1);
+    batch.object_id.assign(batch.count, frame);
+    insert(*store_, batch, next_batch_++);
+    truth_.insert(batch, batch.count);
+  };
+  insert_elsewhere(8);
+  const std::vector<PageContent> content{kept.content()};
+  ASSERT_NE(store_->restore(content, next_id).front(), kNotInserted);
+  expect_sound();
+  insert_elsewhere(9);
+  expect_sound();
+}
+
 INSTANTIATE_TEST_SUITE_P(Devices, PageRestoreTest, testing::Values(Device::Cpu, Device::Cuda), device_name);
 
 }  // namespace
