@@ -77,7 +77,16 @@ bool Sharing::others_are_followed() const {
 }
 
 void Sharing::forget_silent(std::int64_t now_ns) {
-  std::erase_if(peers_, [&](const auto& entry) { return now_ns - entry.second.heard_ns > kSilentNs; });
+  std::erase_if(peers_, [&](const auto& entry) {
+    const bool silent = now_ns - entry.second.heard_ns > kSilentNs;
+    if (silent) inherit_pages(entry.second);
+    return silent;
+  });
+}
+
+void Sharing::inherit_pages(const Peer& peer) {
+  if (!in_stream(peer)) return;
+  for (const stream::OfferedPage& page : peer.pages) inherited_[page.page] = {.page = page};
 }
 
 /// Whose stream this one should be in; null: it is in the right one, or in none with anybody.
@@ -147,6 +156,7 @@ bool Sharing::leave_pages(EncodedPages& pages) const {
 
 TickShare Sharing::begin_tick(std::int64_t now_ns) {
   forget_silent(now_ns);
+  for (auto& [number, inherited] : inherited_) inherited.is_in_tick = true;
   TickShare share;
   if (is_spent(place())) model_.release();
   if (!model_.status().ready) place_ = {};  // what begins anew joins those that there are
@@ -201,9 +211,8 @@ std::optional<double> Sharing::delta_bytes_per_s() {
 // Own pages before others', and of those the one whose page it is; otherwise the newest.
 BoardPages Sharing::pages() const {
   const auto own = model_.offered();
-  if (std::ranges::none_of(peers_, [&](const auto& entry) { return in_stream(entry.second); })) {
-    return {.all = own, .of_others = {}};
-  }
+  const bool shared = std::ranges::any_of(peers_, [&](const auto& entry) { return in_stream(entry.second); });
+  if (!shared && inherited_.empty()) return {.all = own, .of_others = {}};
   struct Offer {
     const stream::OfferedPage* page;
     int rank;
@@ -216,6 +225,7 @@ BoardPages Sharing::pages() const {
       offers.push_back({&page, division_.owner_of(page.page) == source ? 1 : 2});
     }
   }
+  for (const auto& [number, inherited] : inherited_) offers.push_back({&inherited.page, 3});
   std::ranges::sort(offers, [](const Offer& a, const Offer& b) {
     return std::tuple(a.page->page, a.rank, b.page->version) < std::tuple(b.page->page, b.rank, a.page->version);
   });

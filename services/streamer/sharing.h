@@ -109,6 +109,8 @@ class Sharing {
   Peer& heard(const std::string& source, std::uint64_t incarnation);
   static void leave_out_before(Peer& peer, ShareMessage& message);
   void forget_silent(std::int64_t now_ns);
+  /// Viewers keep its pages until a tick has made them anew.
+  void inherit_pages(const Peer& peer);
   [[nodiscard]] const Peer* to_join() const;
   [[nodiscard]] std::uint32_t version_floor() const;
   /// Whether versions run out there.
@@ -130,8 +132,13 @@ class Sharing {
   std::int64_t patience_ns_;
   SceneState scene_;
   Peers peers_;
-  ShareMessage::Place place_;  ///< that viewers are sent: as after the last tick
-  ShareMessage::Place goal_;   ///< that the tick is for: another one where it goes over to a peer's
+  struct Inherited {
+    stream::OfferedPage page;
+    bool is_in_tick = false;  ///< which makes it anew
+  };
+  std::map<std::uint32_t, Inherited> inherited_;  ///< pages of those that are gone, by number
+  ShareMessage::Place place_;                     ///< that viewers are sent: as after the last tick
+  ShareMessage::Place goal_;                      ///< that the tick is for: another one where it goes over to a peer's
   PageDivision division_;
   stream::StreamUpdate pending_;
   std::optional<std::int64_t> pending_since_ns_;

@@ -31,10 +31,12 @@ void Sharing::take(const wire::StreamShare& body, std::int64_t now_ns) {
   Peer& peer = heard(source, body.header()->epoch());
   leave_out_before(peer, message);
   peer.heard_ns = now_ns;
-  if (std::exchange(peer.place, message.place).epoch != message.place.epoch) {
+  if (peer.place.epoch != message.place.epoch) {
+    inherit_pages(peer);
     peer.pages.clear();
     peer.told = false;
   }
+  peer.place = message.place;
   if (message.viewers) peer.viewers = std::move(*message.viewers);
   if (message.pages) {
     peer.pages = std::move(*message.pages);
@@ -58,6 +60,7 @@ Sharing::Peer& Sharing::heard(const std::string& source, std::uint64_t incarnati
   if (peer.incarnation == incarnation) return peer;
   const ShareMessage::Place before = peer.place.epoch != 0 ? peer.place : peer.before;
   const std::int64_t heard_ns = peer.heard_ns;
+  inherit_pages(peer);
   peer = {};
   peer.incarnation = incarnation;
   peer.before = before;
@@ -119,6 +122,7 @@ void Sharing::contribute(std::int64_t now_ns) {
 void Sharing::end_tick(stream::StreamUpdate update, std::int64_t now_ns) {
   place_ = place();
   ticked_ = true;
+  std::erase_if(inherited_, [](const auto& entry) { return entry.second.is_in_tick; });
   contribute(now_ns);
   if (publishes()) publish_tick(update.deltas, now_ns);
   std::ranges::move(update.deltas, std::back_inserter(pending_.deltas));
@@ -135,6 +139,7 @@ void Sharing::restart(std::int64_t now_ns) {
   place_ = place();
   pending_ = {};
   pending_since_ns_.reset();
+  inherited_.clear();
   told_.reset();
   if (publishes()) publish_tick(pending_.deltas, now_ns);
 }

@@ -57,6 +57,52 @@ TEST_F(SharingFaults, PagesOfOneThatDiesAreTheOthers) {
   EXPECT_EQ(viewer_->refused(), 0U);
 }
 
+/// Between the moment at which it is known to be gone and the tick that makes its pages anew, however long that takes.
+TEST_F(SharingTest, PagesOfOneThatIsGoneStayUntilTheyAreMadeAnew) {
+  SteppedStreamer one(connect(kOne), changes_of({}));
+  auto two = std::make_unique<SteppedStreamer>(connect(kTwo), changes_of({}));
+  trainer_.publish(model_);
+  const auto viewer = viewer_at(one.endpoint());
+  int passed_ms = 0;
+  const auto turn = [&](int ms) {
+    one.turn(ms * 1e-3);
+    if (two) two->turn(ms * 1e-3);
+    passed_ms += ms;
+  };
+  ASSERT_TRUE(until({viewer.get()}, [&] {
+    turn(20);
+    return shows_model(*viewer) && divided({kOne, kTwo}, *viewer);
+  }));
+  turn(60 - passed_ms % 50);  // 10 ms after a tick's time
+  const std::size_t said = said_[kTwo].messages;
+  two->turn(1);
+  ASSERT_TRUE(until({viewer.get()}, [&] {
+    one.turn(0);
+    return said_[kTwo].messages > said;
+  }));
+  two.reset();
+  bool stood = true;
+  const auto wait = [&] {
+    for (int k = 0; k < 20; ++k) {
+      one.turn(0);
+      viewer->poll(5ms);
+      stood = stood && viewer->replica().count() == model_.count();
+    }
+  };
+  wait();  // the last that it said is heard, at this time
+  turn(3000);
+  turn(1);   // it is gone
+  turn(14);  // and what the last tick has made goes to viewers, before the next one
+  wait();
+  EXPECT_TRUE(stood);
+  ASSERT_TRUE(until({viewer.get()}, [&] {
+    turn(20);
+    stood = stood && viewer->replica().count() == model_.count();
+    return shows_model(*viewer) && divided({kOne}, *viewer);
+  }));
+  EXPECT_TRUE(stood);
+}
+
 TEST_F(SharingFaults, OneThatWasStuckTakesItsPagesBack) {
   const std::set<std::uint32_t> before = said_[kTwo].pages;
   auto stuck = std::exchange(stepped_, nullptr);
