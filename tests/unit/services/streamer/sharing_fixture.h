@@ -63,7 +63,7 @@ class SharingTest : public StreamerTest {
       listener_.dispatch_all(0ms);
       const auto now = std::chrono::steady_clock::now();
       const double passed_s = std::chrono::duration<double>(now - std::exchange(turned, now)).count();
-      if (stepped_) stepped_->turn(std::max(0.02, passed_s));
+      if (stepped_) stepped_->turn(std::max(0.01, passed_s));
       for (StreamClient* viewer : viewers) viewer->poll(5ms);
       if (std::chrono::steady_clock::now() > deadline) return false;
     }
