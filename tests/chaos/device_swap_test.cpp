@@ -1,5 +1,5 @@
-// A trainer is swapped to another device and back while it trains: the picture stays, and so do the Gaussians. Without a
-// GPU the same is done from one process on the CPU to the next.
+// A trainer is swapped to another device and back while it trains: the picture stays, and so do the Gaussians. Without
+// a GPU the same is done from one process on the CPU to the next.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -82,9 +82,7 @@ class DeviceSwap : public OperatedPipeline, public testing::WithParamInterface<W
     start(std::make_unique<PipelineUnderFire>(file, kViews));
   }
 
-  [[nodiscard]] Samples samples_since(std::size_t first) const {
-    return Samples(pipeline_->samples()).subspan(first);
-  }
+  [[nodiscard]] Samples samples_since(std::size_t first) const { return Samples(pipeline_->samples()).subspan(first); }
   /// In the mean until so many more have come.
   double ssim_of_the_next(std::size_t count) {
     const std::size_t first = pipeline_->samples().size();
@@ -132,8 +130,8 @@ TEST_P(DeviceSwap, KeepsPictureAndGaussians) {
         << "each with its moments and age";
     const double after = ssim_of_the_next(kSamples);
     const Drop drop = drop_of(samples_since(first), before, level);
-    std::printf("%s: SSIM %.4f before, %.4f after; at most %.4f lower, %.2f s by more than %g\n", backend.c_str(), before,
-                after, drop.depth, drop.time_s, kLoss);
+    std::printf("%s: SSIM %.4f before, %.4f after; at most %.4f lower, %.2f s by more than %g\n", backend.c_str(),
+                before, after, drop.depth, drop.time_s, kLoss);
     EXPECT_LE(drop.time_s, kLossS);
     EXPECT_GT(after, before - kLoss);
     EXPECT_EQ(sorted_ids(), ids) << "none lost, none twice, none new";
