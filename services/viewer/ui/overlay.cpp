@@ -80,18 +80,21 @@ class ImGuiOverlay final : public Overlay {
     shown_ = content.menu;
     ImGui::Render();
     ImGui_ImplOpenGL3_RenderDrawData(ImGui::GetDrawData());
+    unseen_.clear();
     pass_releases();
     return actions;
   }
 
   void key(int key, int scancode, int action, int mods) override {
-    if (action == GLFW_RELEASE) {
+    const bool unseen = std::ranges::find(unseen_, key) != unseen_.end();
+    if (action == GLFW_RELEASE && unseen) {
       releases_.push_back({key, scancode, mods});
-    } else {
-      // Pressed twice within a picture: that is two.
-      if (std::ranges::any_of(releases_, [key](const Release& release) { return release.key == key; })) pass_releases();
-      ImGui_ImplGlfw_KeyCallback(window_, key, scancode, action, mods);
+      return;
     }
+    // Pressed twice within a picture: that is two.
+    if (std::ranges::any_of(releases_, [key](const Release& release) { return release.key == key; })) pass_releases();
+    if (action == GLFW_PRESS && !unseen) unseen_.push_back(key);
+    ImGui_ImplGlfw_KeyCallback(window_, key, scancode, action, mods);
   }
 
   // By the place: ImGui's own WantCaptureMouse is of where the mouse was when it was last drawn.
@@ -109,7 +112,8 @@ class ImGuiOverlay final : public Overlay {
   struct Release {
     int key, scancode, mods;
   };
-  // ImGui sees keys as they are when it is drawn: one that was let go before has to be down once.
+  // ImGui sees keys as they are when it is drawn: one that was let go before has to be down once. Not twice: a picture
+  // may take longer than what a key is held to be repeated.
   void pass_releases() {
     for (const Release& r : releases_) ImGui_ImplGlfw_KeyCallback(window_, r.key, r.scancode, GLFW_RELEASE, r.mods);
     releases_.clear();
@@ -118,6 +122,7 @@ class ImGuiOverlay final : public Overlay {
   GLFWwindow* window_;
   MenuPlace menu_;
   bool shown_ = false;  ///< the menu
+  std::vector<int> unseen_;  ///< keys that were pressed since it was drawn
   std::vector<Release> releases_;
 };
 

@@ -107,6 +107,36 @@ TEST_F(WindowTest, TheBudgetIsAsChosenAndTheModelIsSaved) {
   }));
 }
 
+// As where a picture takes longer than what a key is held to be repeated: it stands still between press and release.
+TEST_F(WindowTest, AKeyLetGoDuringALongPictureCountsOnce) {
+  start({"probe=true"});
+  open_menu();
+  press("Down");
+  const cv::Mat second = display_->screen()(kMenu).clone();
+  press("Down");
+  const cv::Mat third = display_->screen()(kMenu).clone();
+  bool held_briefly = false;
+  for (int i = 0; i < 20 && !held_briefly; ++i) {
+    press("Up");
+    ASSERT_FALSE(differ(display_->screen()(kMenu), second));
+    const auto begin = std::chrono::steady_clock::now();
+    Display::act("keydown Down");
+    ASSERT_TRUE(soon([&] { return differ(display_->screen()(kMenu), second); })) << log();
+    viewer_->send(SIGSTOP);
+    Display::act("keyup Down");
+    held_briefly = std::chrono::steady_clock::now() - begin < 150ms;
+    std::this_thread::sleep_for(600ms);
+    viewer_->send(SIGCONT);
+    std::this_thread::sleep_for(600ms);
+    if (held_briefly) {
+      EXPECT_FALSE(differ(display_->screen()(kMenu), third)) << "went on without the key";
+    } else {
+      while (differ(display_->screen()(kMenu), third)) press("Up");  // it was repeated, as it ought to be
+    }
+  }
+  EXPECT_TRUE(held_briefly) << "this machine is too slow to say";
+}
+
 TEST_F(WindowTest, WhatIsMeantForTheMenuDoesNotSteer) {
   start();
   const Rigid before = resting_pose();
