@@ -93,6 +93,14 @@ async function startDisplay(width, height) {
   };
 }
 
+const kPatienceMs = 60_000;
+const kShown = `{
+  text: document.body?.innerText.slice(0, 500),
+  figures: window.splatbus?.figures,
+  connection: window.splatbus?.connection,
+  standing: window.splatbus?.stage?.standing,
+  comparison: window.splatbus?.extras && { on: window.splatbus.extras.comparison.on, text: window.splatbus.extras.comparison.element.innerText },
+}`;
 const pause = () => new Promise((resolve) => setTimeout(resolve, 100));
 
 /** One page of a Firefox of its own. */
@@ -126,8 +134,13 @@ export async function launchFirefox({ width, height }) {
       /** What an expression is in the page, by JSON. */
       evaluate,
       goto: (url) => marionette.call('WebDriver:Navigate', { url }),
+      /** Until it is so; after a minute it throws what the page shows and says. */
       async waitFor(expression) {
-        while (!(await evaluate(expression))) await pause();
+        const until = Date.now() + kPatienceMs;
+        while (!(await evaluate(expression))) {
+          if (Date.now() > until) throw new Error(`${expression}: not so after ${kPatienceMs / 1000} s; ${JSON.stringify(await evaluate(kShown))}`);
+          await pause();
+        }
       },
       press: (key) =>
         marionette.call('WebDriver:PerformActions', {
