@@ -225,6 +225,19 @@ test('a comparison whose worker dies says so, and the next has another', kLimit,
   });
 });
 
+test('a comparison that takes longer than the next picture is shown', kLimit, () =>
+  opened(pageOf('webgl2'), async (page) => {
+    await page.keyboard.press('c');
+    await page.waitForFunction(() => window.splatbus.extras.comparison.quality?.ssim === 0.5, null, { timeout: 20_000 });
+  }, {
+    before: async (page) => {
+      await answering('**/status', (route) => route.fulfill({ json: { rights: 'view,probe' } }))(page);
+      const slow = 'let done = 0; onmessage = ({ data: { id } }) => { done = Math.max(done, performance.now()) + 4000; setTimeout(() => postMessage({ id, ssim: 0.5, flip: 0.5 }), done - performance.now()); };';
+      await page.route('**/metrics_worker.js', (route) => route.fulfill({ contentType: 'text/javascript', body: slow }));
+    },
+  }),
+);
+
 /** The stream's worker ends for want of memory, and is not started again of its own accord. */
 const failsForGood = (page) =>
   page.evaluate(async () => {

@@ -39,6 +39,8 @@ export class Comparison {
   #shown: { id: number; view: View; atMs: number } | null = null;
   /** Before this the engine is not asked again. */
   #notBeforeMs = 0;
+  /** The pair that the worker is at, so that on a slow machine one is measured before the next takes its place. */
+  #measuring: number | null = null;
   /** Of the picture that is shown. */
   quality: PairQuality | null = null;
 
@@ -65,7 +67,7 @@ export class Comparison {
 
   toggle(): void {
     this.element.hidden = this.on;
-    this.#asked = this.#shown = this.quality = null;
+    this.#asked = this.#shown = this.quality = this.#measuring = null;
     this.#show(false);
     this.#figures.textContent = this.on ? texts.comparing : '';
     this.#worker?.terminate();
@@ -84,7 +86,7 @@ export class Comparison {
     if (!this.on) return;
     const wanted = askedView(view);
     if (this.#shown && !sameView(this.#shown.view, wanted)) {
-      this.#shown = this.quality = null;
+      this.#shown = this.quality = this.#measuring = null;
       this.#show(false);
       this.#figures.textContent = texts.comparing;
     }
@@ -93,7 +95,7 @@ export class Comparison {
       this.actions.notice(texts.compareUnanswered);
     }
     const due = !this.#shown || nowMs - this.#shown.atMs > kAgainMs;
-    if (!resting || this.#asked || !due || nowMs < this.#notBeforeMs) return;
+    if (!resting || this.#asked || this.#measuring !== null || !due || nowMs < this.#notBeforeMs) return;
     const id = Math.floor(Math.random() * Number.MAX_SAFE_INTEGER);
     this.#asked = { id, view: wanted, atMs: nowMs };
     this.actions.ask(id, wanted);
@@ -116,6 +118,7 @@ export class Comparison {
     this.#picture.getContext('2d')?.putImageData(new ImageData(answer.rgba, answer.width, answer.height), 0, 0);
     this.#show(true);
     const pair: Pair = { id: asked.id, width: answer.width, height: answer.height, picture: splats.rgba, reference: answer.rgba };
+    this.#measuring = asked.id;
     this.#metrics().postMessage(pair, [pair.picture.buffer, pair.reference.buffer]);
   }
 
@@ -125,6 +128,7 @@ export class Comparison {
     this.#worker = worker;
     worker.onmessage = ({ data }: MessageEvent<PairQuality>) => {
       if (data.id !== this.#shown?.id) return;
+      this.#measuring = null;
       this.quality = data;
       this.#figures.textContent = texts.likeness(data.ssim, data.flip);
     };
@@ -133,7 +137,7 @@ export class Comparison {
       console.warn(`pictures are not compared: ${message}`);
       worker.terminate();
       this.#worker = null; // the next pair has another
-      this.quality = null;
+      this.quality = this.#measuring = null;
       this.#figures.textContent = texts.compareUnmeasured;
     };
     return worker;
