@@ -20,6 +20,7 @@
 #include "view_page.h"
 #include "viewer/gl/file_rows.h"
 #include "viewer/gl/stage.h"
+#include "viewer/loss_limit.h"
 #include "viewer/window.h"
 
 namespace splatbus::cli {
@@ -126,21 +127,35 @@ constexpr std::chrono::milliseconds kIdle{100};
 
 void show(const Scene& scene, const std::string& title) {
   viewer::Window window(scene.camera, title, viewer::Window::For::Splats);
-  const auto stage = make_stage(scene);
+  auto stage = make_stage(scene);
+  viewer::LossLimit losses;
   const Middle middle = middle_of(scene.file.gaussians.view());
   window.set_figures({.held = scene.file.gaussians.count(), .drawn = {}, .stream = {}});
-  std::optional<Camera> shown;
-  for (; !window.closed(); window.poll_events()) {
-    if (window.take_frame_all()) window.frame(middle.centre, middle.radius_m);
-    const Camera camera = scene.seen(window.camera());
-    if (shown == camera && !window.take_picture_due()) {
-      window.wait_events(kIdle);
-      continue;
+  Camera shown;
+  bool due = true;
+  while (!window.closed()) {
+    try {
+      window.poll_events();
+      if (window.take_frame_all()) window.frame(middle.centre, middle.radius_m);
+      const Camera camera = scene.seen(window.camera());
+      due = window.take_picture_due() || due || !(shown == camera);
+      if (!due) {
+        window.wait_events(kIdle);
+        continue;
+      }
+      shown = camera;
+      due = false;
+      stage->set_resolution(window.settings().resolution);
+      stage->draw(camera, window.settings().applied_to(scene.state), viewer::gl::kSettled_s);
+      window.swap();
+    } catch (const ContextLost& lost) {
+      losses.recover(lost, [&] {
+        stage.reset();
+        window.reopen();
+        stage = make_stage(scene);
+      });
+      due = true;
     }
-    shown = camera;
-    stage->set_resolution(window.settings().resolution);
-    stage->draw(camera, window.settings().applied_to(scene.state), viewer::gl::kSettled_s);
-    window.swap();
   }
 }
 

@@ -120,8 +120,8 @@ std::optional<Swap::Order> Swap::turn(std::int64_t now_ns) {
   if (over()) return std::nullopt;
   if (now_ns >= deadline_ns_) {
     if (phase_ == Phase::GettingReady) {
-      refuse(heard_ ? with_detail(fmt::format("the successor was not ready within {:.3g} s", limits_.ready_s), detail_)
-                    : fmt::format("the successor sent no heartbeat within {:.3g} s", limits_.ready_s));
+      refuse(heard_ ? with_detail(fmt::format("the successor was not ready within {:g} s", limits_.ready_s), detail_)
+                    : fmt::format("the successor sent no heartbeat within {:g} s", limits_.ready_s));
     } else if (phase_ == Phase::Yielding) {
       refuse(fmt::format("{} did not hand over within {:.3g} s", name_, limits_.yield_s));
     } else {

@@ -49,7 +49,10 @@ void Outbox::close() {
     std::unique_lock lock(mutex_);
     if (closed_) return;
     if (waiting_) connected_changed_.wait_for(lock, linger, [this] { return connected_; });
-    if (reached_ && !connected_) catch_up();  // late, rather than never
+    if (reached_ && !connected_) {
+      catch_up();  // late, rather than never
+      connected_ = true;
+    }
     closed_ = true;
   }
   thread_.request_stop();

@@ -8,6 +8,7 @@
 #include <array>
 #include <stdexcept>
 #include <string_view>
+#include <thread>
 #include <vector>
 
 namespace splatbus {
@@ -52,6 +53,27 @@ void GLAPIENTRY log_gl_message(GLenum /*source*/, GLenum type, GLuint /*id*/, GL
 }
 
 }  // namespace
+
+namespace {
+
+GLenum reset_status() {
+  const bool tells = epoxy_gl_version() >= 45 || epoxy_has_gl_extension("GL_KHR_robustness");
+  return tells ? glGetGraphicsResetStatus() : GL_NO_ERROR;
+}
+
+}  // namespace
+
+void require_context() {
+  if (reset_status() != GL_NO_ERROR) throw ContextLost();
+}
+
+void await_reset(std::chrono::milliseconds most) {
+  // As long as it goes on, that is what is said (OpenGL 4.5, 2.3.2).
+  constexpr std::chrono::milliseconds kPause{50};
+  for (auto waited = kPause; reset_status() != GL_NO_ERROR && waited < most; waited += kPause) {
+    std::this_thread::sleep_for(kPause);
+  }
+}
 
 struct GlContext::Impl {
   EGLDisplay display = EGL_NO_DISPLAY;

@@ -1,10 +1,22 @@
 #pragma once
 
+#include <chrono>
 #include <functional>
 #include <memory>
+#include <stdexcept>
 #include <string>
 
 namespace splatbus {
+
+/// The device was reset: nothing that was made in the context can be used, and only another context draws again.
+class ContextLost : public std::runtime_error {
+ public:
+  ContextLost() : std::runtime_error("the OpenGL context was lost: the graphics device was reset") {}
+};
+/// Throws ContextLost where the current one, if its driver says so much, is lost.
+void require_context();
+/// Of a current context that was lost: returns once the device's reset is over, or after `most`.
+void await_reset(std::chrono::milliseconds most);
 
 /// An OpenGL 4.5 core context without a window: the first hardware EGL device that gives one, else Mesa's surfaceless
 /// platform. Current on the thread that made it, for as long as it lives. Throws std::runtime_error that lists what was

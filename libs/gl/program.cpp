@@ -5,6 +5,8 @@
 #include <stdexcept>
 #include <string>
 
+#include "gl/context.h"
+
 namespace splatbus {
 namespace {
 
@@ -23,6 +25,7 @@ class Shader {
     glGetShaderInfoLog(name_, static_cast<GLsizei>(log.size()), &said, log.data());
     log.resize(static_cast<std::size_t>(said));
     glDeleteShader(name_);
+    require_context();
     throw std::runtime_error(fmt::format("a shader does not compile: {}", log));
   }
   ~Shader() { glDeleteShader(name_); }
@@ -43,6 +46,7 @@ void link(GLuint program) {
   GLsizei said = 0;
   glGetProgramInfoLog(program, static_cast<GLsizei>(log.size()), &said, log.data());
   log.resize(static_cast<std::size_t>(said));
+  require_context();
   throw std::runtime_error(fmt::format("a program does not link: {}", log));
 }
 

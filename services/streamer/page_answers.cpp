@@ -56,6 +56,13 @@ bool PageAnswers::pump(std::int64_t now_ns) {
   return !answers_.empty();
 }
 
+void PageAnswers::restart() {
+  for (auto& [peer, answer] : answers_) {
+    std::erase_if(answer.items, [](const Item& item) { return item.of_manifest; });
+    answer.manifest_left = 0;
+  }
+}
+
 bool PageAnswers::send_some(const Endpoint::Peer& peer, Answer& answer, std::int64_t now_ns) {
   for (int k = 0; k < kAnswersATurn && !answer.items.empty(); ++k) {
     if (!answer.items.front().packet) {

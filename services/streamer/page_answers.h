@@ -37,6 +37,8 @@ class PageAnswers {
   [[nodiscard]] bool take(const Endpoint::Peer& peer, const Request& request, std::int64_t now_ns);
   /// Sends what peers take now. True when more waits for one of them to read.
   bool pump(std::int64_t now_ns);
+  /// The stream has begun anew: the manifest of the one before is nobody's any more.
+  void restart();
 
  private:
   /// A packet, or the name of a page that becomes one when its turn comes.

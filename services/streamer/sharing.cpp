@@ -156,7 +156,7 @@ bool Sharing::leave_pages(EncodedPages& pages) const {
 
 TickShare Sharing::begin_tick(std::int64_t now_ns) {
   forget_silent(now_ns);
-  for (auto& [number, inherited] : inherited_) inherited.is_in_tick = true;
+  for (auto& [number, inherited] : inherited_) ++inherited.ticks;
   TickShare share;
   if (is_spent(place())) model_.release();
   if (!model_.status().ready) place_ = {};  // what begins anew joins those that there are

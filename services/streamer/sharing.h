@@ -134,7 +134,7 @@ class Sharing {
   Peers peers_;
   struct Inherited {
     stream::OfferedPage page;
-    bool is_in_tick = false;  ///< which makes it anew
+    int ticks = 0;  ///< that have begun since; each makes anew those that are its own
   };
   std::map<std::uint32_t, Inherited> inherited_;  ///< pages of those that are gone, by number
   ShareMessage::Place place_;                     ///< that viewers are sent: as after the last tick

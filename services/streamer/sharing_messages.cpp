@@ -10,6 +10,9 @@ namespace splatbus::streamer {
 
 namespace {
 
+// Until another one that has fallen heir to a page has surely said so.
+constexpr int kTicksInherited = 3;
+
 constexpr std::int64_t kSayAgainNs = 1'000'000'000;
 constexpr std::size_t kMessageBytes = std::size_t{4} << 20;  // of answers, about
 
@@ -122,7 +125,10 @@ void Sharing::contribute(std::int64_t now_ns) {
 void Sharing::end_tick(stream::StreamUpdate update, std::int64_t now_ns) {
   place_ = place();
   ticked_ = true;
-  std::erase_if(inherited_, [](const auto& entry) { return entry.second.is_in_tick; });
+  std::erase_if(inherited_, [this](const auto& entry) {
+    const auto& [number, inherited] = entry;
+    return inherited.ticks > (division_.owner_of(number) == own_ ? 0 : kTicksInherited);
+  });
   contribute(now_ns);
   if (publishes()) publish_tick(update.deltas, now_ns);
   std::ranges::move(update.deltas, std::back_inserter(pending_.deltas));

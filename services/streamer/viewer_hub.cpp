@@ -97,6 +97,7 @@ void ViewerHub::add_visibility(std::vector<stream::VisibilityPacket> packets) {
 
 void ViewerHub::restart_all(BoardPages pages) {
   board_.clear();
+  answers_.restart();
   add({}, std::move(pages));
   for (auto& [peer, viewer] : viewers_) {
     viewer.feed.start_over();

@@ -175,9 +175,10 @@ void ViewerRate::learn_rate(const Packet& packet, std::int64_t now_ns) {
   const std::int64_t over_ns = now_ns - packet.acknowledged_ns;
   if (over_ns < kLeastSampleNs) return;
   const double sample = (delivered_ - packet.delivered) / (static_cast<double>(over_ns) * 1e-9);
-  if (packet.rested && sample <= link_) return;
-  samples_.push_back({now_ns, sample});
+  // A queue on the way is the link's, also where nothing more waited here.
   const bool queues = ways_.size() >= kWaysOfAQueue && queued_s() > kLongQueue_s;
+  if (packet.rested && sample <= link_ && !queues) return;
+  samples_.push_back({now_ns, sample});
   while ((samples_.size() > kRememberSamples && now_ns - samples_.front().at_ns > kRememberRateNs) ||
          (samples_.size() > kSamplesOfAQueue && queues)) {
     samples_.pop_front();

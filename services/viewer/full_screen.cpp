@@ -34,18 +34,26 @@ bool FullScreen::is(GLFWwindow* window) {
   return glfwGetWindowMonitor(window) != nullptr;
 }
 
+cv::Rect FullScreen::place(GLFWwindow* window) const {
+  return is(window) ? before_ : place_of(window);
+}
+
 void FullScreen::toggle(GLFWwindow* window) {
   if (is(window)) {
     glfwSetWindowMonitor(window, nullptr, before_.x, before_.y, before_.width, before_.height, GLFW_DONT_CARE);
     return;
   }
+  fill(window, place_of(window));
+}
+
+void FullScreen::fill(GLFWwindow* window, const cv::Rect& place) {
   int count = 0;
   GLFWmonitor** const first = glfwGetMonitors(&count);
   const std::vector<GLFWmonitor*> monitors(first, first + count);
   if (monitors.empty()) return;
   std::vector<cv::Rect> places;
   for (GLFWmonitor* monitor : monitors) places.push_back(place_of(monitor));
-  before_ = place_of(window);
+  before_ = place;
   GLFWmonitor* const monitor = monitors[monitor_of(before_, places)];
   if (const GLFWvidmode* mode = glfwGetVideoMode(monitor)) {
     glfwSetWindowMonitor(window, monitor, 0, 0, mode->width, mode->height, mode->refreshRate);

@@ -17,6 +17,10 @@ class FullScreen {
  public:
   [[nodiscard]] static bool is(GLFWwindow* window);
   void toggle(GLFWwindow* window);
+  /// Fills the monitor that has most of `place`, where it goes back to.
+  void fill(GLFWwindow* window, const cv::Rect& place);
+  /// Where the window is when it does not fill a monitor, by the desktop's coordinates.
+  [[nodiscard]] cv::Rect place(GLFWwindow* window) const;
 
  private:
   cv::Rect before_;

@@ -20,8 +20,11 @@ class GlPainter final : public Painter {
   }
 
   bool take(Shown& shown) override {
-    const bool any = !shown.batches.empty();
+    bool any = false;
     for (const gl::SharedBatch& batch : shown.batches) {
+      begun_ = begun_ || batch->whole;
+      if (!begun_) continue;  // it was for a painter that is gone
+      any = true;
       for (const float fade : batch->update.fades) faded_s_ = std::max(faded_s_, std::abs(fade) + gl::kFade_s);
       stage_->add(*batch);
     }
@@ -60,6 +63,7 @@ class GlPainter final : public Painter {
 
   std::unique_ptr<GlContext> context_;  // outlives what was made in it
   std::unique_ptr<gl::Stage> stage_;
+  bool begun_ = false;
   float faded_s_ = 0;
   unsigned said_ = 0;  // the choice of how to draw
 };

@@ -5,7 +5,9 @@
 
 #include <algorithm>
 #include <filesystem>
+#include <functional>
 #include <memory>
+#include <utility>
 
 #include "bus/clock.h"
 #include "bus/error.h"
@@ -14,6 +16,7 @@
 #include "stream/packet_log.h"
 #include "stream/playout.h"
 #include "viewer/camera_path.h"
+#include "viewer/loss_limit.h"
 #include "viewer/painter.h"
 #include "viewer/row_feed.h"
 #include "viewer/window.h"
@@ -57,6 +60,14 @@ class LogFeed {
     return 1 + static_cast<float>(static_cast<double>(bus::now_ns() - begin_ns_) / 1e9);
   }
 
+  /// For a painter that has nothing yet.
+  void give_all() {
+    if (feed_) {
+      shown_.batches = {feed_->everything()};
+    } else {
+      shown_.changes = follower_.replica().whole();
+    }
+  }
   Shown& take() {
     shown_.changes.append(follower_.replica().take_changes());
     if (feed_) {
@@ -111,50 +122,78 @@ class Pace {
   std::int64_t due_ns_, before_ns_ = 0;
 };
 
-std::uint64_t replay_in_window(LogFeed& feed, Painter& painter, Window& window, const std::stop_token& stop) {
-  stream::Playout playout;
-  Pace pace(bus::now_ns());
-  std::uint64_t drawn = 0;
-  bool more = true, unsettled = false;
-  Camera before;
-  while (!stop.stop_requested() && !window.closed()) {
-    window.poll_events();
-    bool changed = false;
-    while (more && pace.due(bus::now_ns())) {
-      more = feed.next();
-      const bool new_state = more && feed.new_state();
-      Shown& shown = feed.take();
-      changed = painter.take(shown) || new_state || changed;
-      if (!new_state) continue;
-      pace.state(feed.capture_ns());
-      playout.add(shown.scene, feed.capture_ns(), bus::now_ns());
+class WindowReplay {
+ public:
+  WindowReplay(LogFeed& feed, Window& window, std::function<std::unique_ptr<Painter>()> make_painter)
+      : feed_(feed), window_(window), make_painter_(std::move(make_painter)), painter_(make_painter_()) {}
+
+  /// Until the window is closed; how many pictures it has drawn.
+  std::uint64_t run(const std::stop_token& stop) {
+    LossLimit losses;
+    while (!stop.stop_requested() && !window_.closed()) {
+      try {
+        turn();
+      } catch (const ContextLost& lost) {
+        spdlog::warn("{}: another one draws from now on", lost.what());
+        losses.recover(lost, [&] {
+          painter_.reset();
+          window_.reopen();
+          painter_ = make_painter_();
+        });
+        feed_.give_all();
+      }
     }
-    Shown& shown = feed.take();  // what has faded
-    changed = painter.take(shown) || changed;
-    changed = window.take_picture_due() || changed;
-    window.set_figures({.held = shown.gaussians, .drawn = {}, .stream = {}});
-    if (window.take_frame_all()) {
-      if (const auto bounds = painter.bounds()) window.frame(bounds->centre, bounds->radius_m);
-    }
-    const bool moving = playout.moving();
-    playout.advance(bus::now_ns());
-    const auto scene = playout.scene();
-    window.follow(scene ? *scene : *shown.scene);
-    const Camera camera = window.camera();
-    const float time_s = feed.time_s();
-    const bool settles = painter.settles(time_s);
-    changed = changed || moving || unsettled || settles || !(camera == before);
-    if (!changed) {
-      window.wait_events(kIdle);
-      continue;
-    }
-    before = camera;
-    unsettled = settles;  // the last one is drawn once all has settled
-    painter.show(window, camera, window.settings().applied_to(scene ? *scene : *shown.scene), time_s);
-    ++drawn;
+    return drawn_;
   }
-  return drawn;
-}
+
+ private:
+  void turn() {
+    window_.poll_events();
+    bool changed = false;
+    while (more_ && pace_.due(bus::now_ns())) {
+      more_ = feed_.next();
+      const bool new_state = more_ && feed_.new_state();
+      Shown& shown = feed_.take();
+      changed = painter_->take(shown) || new_state || changed;
+      if (!new_state) continue;
+      pace_.state(feed_.capture_ns());
+      playout_.add(shown.scene, feed_.capture_ns(), bus::now_ns());
+    }
+    Shown& shown = feed_.take();  // what has faded
+    changed = painter_->take(shown) || changed;
+    changed = window_.take_picture_due() || changed;
+    window_.set_figures({.held = shown.gaussians, .drawn = {}, .stream = {}});
+    if (window_.take_frame_all()) {
+      if (const auto bounds = painter_->bounds()) window_.frame(bounds->centre, bounds->radius_m);
+    }
+    const bool moving = playout_.moving();
+    playout_.advance(bus::now_ns());
+    const auto scene = playout_.scene();
+    window_.follow(scene ? *scene : *shown.scene);
+    const Camera camera = window_.camera();
+    const float time_s = feed_.time_s();
+    const bool settles = painter_->settles(time_s);
+    changed = changed || moving || unsettled_ || settles || !(camera == before_);
+    if (!changed) {
+      window_.wait_events(kIdle);
+      return;
+    }
+    before_ = camera;
+    unsettled_ = settles;  // the last one is drawn once all has settled
+    painter_->show(window_, camera, window_.settings().applied_to(scene ? *scene : *shown.scene), time_s);
+    ++drawn_;
+  }
+
+  LogFeed& feed_;
+  Window& window_;
+  std::function<std::unique_ptr<Painter>()> make_painter_;
+  std::unique_ptr<Painter> painter_;
+  stream::Playout playout_;
+  Pace pace_{bus::now_ns()};
+  std::uint64_t drawn_ = 0;
+  bool more_ = true, unsettled_ = false;
+  Camera before_;
+};
 
 }  // namespace
 
@@ -164,17 +203,19 @@ std::uint64_t replay(const std::string& log, const Options& options, Device devi
         "a replay needs a window (--window), or a folder and which pictures: --set out=FOLDER --set frames=1");
   }
   const bool opengl = options.draws_through_opengl();
-  std::unique_ptr<Window> window;
-  if (options.window) {
-    window = std::make_unique<Window>(CameraPath(options.path).at(options.path.start_s), "splatbus: " + log,
-                                      opengl ? Window::For::Splats : Window::For::Pictures);
-    window->save_in(options.out);
-  }
-  const auto painter =
-      opengl ? make_gl_painter(options.window, options.draw) : make_raster_painter(device, options.threads);
+  const auto make_painter = [&] {
+    return opengl ? make_gl_painter(options.window, options.draw) : make_raster_painter(device, options.threads);
+  };
   LogFeed feed(log, opengl, options.window, options.max_gaussians);
-  const std::uint64_t drawn =
-      window ? replay_in_window(feed, *painter, *window, stop) : replay_to_files(feed, *painter, options, stop);
+  std::uint64_t drawn = 0;
+  if (options.window) {
+    Window window(CameraPath(options.path).at(options.path.start_s), "splatbus: " + log,
+                  opengl ? Window::For::Splats : Window::For::Pictures);
+    window.save_in(options.out);
+    drawn = WindowReplay(feed, window, make_painter).run(stop);
+  } else {
+    drawn = replay_to_files(feed, *make_painter(), options, stop);
+  }
   spdlog::info("{}: {} pictures", log, drawn);
   return drawn;
 }

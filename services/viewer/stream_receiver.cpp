@@ -108,7 +108,9 @@ void StreamReceiver::hand_over(bool changed) {
     if (status) status_ = *status;
     return;
   }
-  if (std::exchange(renews_, std::nullopt) && feed_) batch = feed_->everything();
+  if (renews_) all_due_ = true;
+  renews_.reset();
+  if (std::exchange(all_due_, false) && feed_) batch = feed_->everything();
   stream::DisplayChanges changes = client_.take_changes();
   changed = changed || !changes.empty() || batch;
   const SceneKey key{replica.epoch(), replica.scene_version(), replica.scene_instant().frame};
@@ -206,6 +208,10 @@ void StreamReceiver::set_budget(std::size_t max_gaussians, std::uint32_t max_kbp
     scene_key_ = {};
     if (feed_) feed_.emplace(client.replica(), true);
   });
+}
+
+void StreamReceiver::give_all() {
+  post([this](StreamClient&) { all_due_ = true; });
 }
 
 std::future<ShownModel> StreamReceiver::copy_model() {

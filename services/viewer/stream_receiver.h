@@ -65,6 +65,8 @@ class StreamReceiver {
   [[nodiscard]] ReceiverStatus status() const;
   /// As StreamClient's. What is shown stays until most of the model of another size is there, a few seconds at most.
   void set_budget(std::size_t max_gaussians, std::uint32_t max_kbps);
+  /// Shown::batches begin anew, with a whole one; for a painter that has nothing yet.
+  void give_all();
   /// Of a model that is not here yet it is a std::runtime_error.
   [[nodiscard]] std::future<ShownModel> copy_model();
 
@@ -89,6 +91,7 @@ class StreamReceiver {
   SceneKey scene_key_{};           // too
   std::int64_t measured_ns_ = 0;   // too
   std::optional<Renewal> renews_;  // too
+  bool all_due_ = false;           // too
   bus::FileDescriptor wake_;
 
   mutable std::mutex mutex_;  // of all below

@@ -81,30 +81,48 @@ Viewer::Viewer(const bus::Parameters& parameters, ViewerHost host)
 void Viewer::run() {
   bool changed = true, drawn = false;
   while (!host_.stop.stop_requested() && !(window_ && window_->closed())) {
-    refresh_options();
-    const auto period_ns = static_cast<std::int64_t>(1e9 / options_->fps);
-    // Until the next picture is due; with none to draw, until the camera may have moved. Packets are taken at once.
-    const std::int64_t left_ns = draws_at_display_rate() ? 0 : drawn_ns_ + period_ns - bus::now_ns();
-    const std::int64_t idle_ns = draws_at_display_rate() ? kIdleWindowNs : period_ns;
-    const std::int64_t wait_ns = std::min(left_ns > 0 ? left_ns : changed || drawn ? 0 : idle_ns, kLongestWaitNs);
-    receiver_.wait_for(std::chrono::nanoseconds(probe_ ? std::min(wait_ns, kProbeLookNs) : wait_ns), !probe_);
-    changed = take() || changed;
-    changed = serve_window() || changed;
-    const std::int64_t now_ns = bus::now_ns();
-    const bool first = first_picture_ns_ == 0 && shown_.gaussians > 0;
-    if (draws_at_display_rate() || now_ns >= drawn_ns_ + period_ns || first) {
-      drawn = show(changed);
-      if (drawn) drawn_ns_ = now_ns;
-      drawn = drawn && draws_at_display_rate();  // the camera may be on its way
-      changed = false;
-    }
-    ask_probe(now_ns);
-    answer_probes();
-    if (now_ns - last_report_ns_ > kSecondNs) {
-      last_report_ns_ = now_ns;
-      report();
+    try {
+      refresh_options();
+      const auto period_ns = static_cast<std::int64_t>(1e9 / options_->fps);
+      // Until the next picture is due; with none to draw, until the camera may have moved. Packets are taken at once.
+      const std::int64_t left_ns = draws_at_display_rate() ? 0 : drawn_ns_ + period_ns - bus::now_ns();
+      const std::int64_t idle_ns = draws_at_display_rate() ? kIdleWindowNs : period_ns;
+      const std::int64_t wait_ns = std::min(left_ns > 0 ? left_ns : changed || drawn ? 0 : idle_ns, kLongestWaitNs);
+      receiver_.wait_for(std::chrono::nanoseconds(probe_ ? std::min(wait_ns, kProbeLookNs) : wait_ns), !probe_);
+      changed = take() || changed;
+      changed = serve_window() || changed;
+      const std::int64_t now_ns = bus::now_ns();
+      const bool first = first_picture_ns_ == 0 && shown_.gaussians > 0;
+      if (draws_at_display_rate() || now_ns >= drawn_ns_ + period_ns || first) {
+        drawn = show(changed);
+        if (drawn) drawn_ns_ = now_ns;
+        drawn = drawn && draws_at_display_rate();  // the camera may be on its way
+        changed = false;
+      }
+      ask_probe(now_ns);
+      answer_probes();
+      if (now_ns - last_report_ns_ > kSecondNs) {
+        last_report_ns_ = now_ns;
+        report();
+      }
+    } catch (const ContextLost& lost) {
+      renew_context(lost);
+      changed = true;
     }
   }
+}
+
+void Viewer::renew_context(const ContextLost& lost) {
+  spdlog::warn("{}: another one draws from now on", lost.what());
+  const bool opengl = options_->draws_through_opengl();
+  losses_.recover(lost, [&] {
+    if (opengl) painter_.reset();
+    if (window_) window_->reopen();
+    if (opengl) painter_ = make_painter(*options_, host_.device);
+  });
+  if (!opengl) return;
+  receiver_.give_all();
+  awaits_all_ = true;
 }
 
 bool Viewer::serve_window() {
@@ -133,7 +151,9 @@ bool Viewer::take() {
     playout_.add(std::move(state.scene), state.capture_ns, state.arrived_ns);
   }
   shown_.scenes.clear();
-  return painter_->take(shown_) || changed;
+  const bool other = painter_->take(shown_);
+  awaits_all_ = awaits_all_ && !other;
+  return other || changed;
 }
 
 cv::Mat Viewer::draw(const Camera& camera, const SceneState& scene) {
@@ -159,7 +179,7 @@ bool Viewer::show(bool changed) {
   }
   receiver_.send_pose(camera_);
   // A world that became empty is drawn as one.
-  if (shown_.gaussians == 0 && frames_ == 0) return false;
+  if ((shown_.gaussians == 0 && frames_ == 0) || awaits_all_) return false;
   if (window_ && window_->take_frame_all()) frame_all();
   const float time_s = receiver_.fade_time_s(now_ns);
   const bool settles = window_ ? painter_->settles(time_s) : painter_->recoloring();
@@ -220,6 +240,7 @@ bool Viewer::sees_as_probe(const ProbeAnswer& probe) const {
 }
 
 void Viewer::answer_probes() {
+  if (awaits_all_) return;
   // One a turn: packets are taken in between. Without a model there is nothing to compare.
   if (!probe_) probe_ = receiver_.take_probe_answer();
   if (!probe_ || (shown_.gaussians > 0 && !sees_as_probe(*probe_))) return;

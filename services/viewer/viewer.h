@@ -14,6 +14,7 @@
 #include "bus/parameters.h"
 #include "stream/playout.h"
 #include "viewer/camera_path.h"
+#include "viewer/loss_limit.h"
 #include "viewer/options.h"
 #include "viewer/painter.h"
 #include "viewer/picture_age.h"
@@ -52,6 +53,8 @@ class Viewer {
   [[nodiscard]] bool draws_at_display_rate() const { return window_ && options_->draws_through_opengl(); }
   /// What has arrived; true when it shows.
   bool take();
+  /// Draws in another context from now on. Throws `lost` where that was done too often, bus::Error where there is none.
+  void renew_context(const ContextLost& lost);
   /// False when there is nothing new to show.
   bool show(bool changed);
   void frame_all();
@@ -87,6 +90,8 @@ class Viewer {
   bus::LogLimiter log_limiter_;
   metrics::Quality last_quality_;
   double draw_ms_ = 0;
+  LossLimit losses_;
+  bool awaits_all_ = false;           ///< what is to be drawn is not there yet, and the last picture stands
   bool unsettled_ = false;            ///< the last picture was on the way to one that is still to be drawn
   std::optional<ProbeAnswer> probe_;  ///< that is to be answered
 };

@@ -1,24 +1,17 @@
 #include "viewer/window.h"
 
-#include <epoxy/gl.h>
-#define GLFW_INCLUDE_NONE
-#include <GLFW/glfw3.h>
 #include <fmt/format.h>
 
 #include <cstdlib>
-#include <exception>
+#include <memory>
 #include <utility>
+#include <vector>
 
 #include "bus/clock.h"
 #include "bus/error.h"
 #include "gaussians/player.h"
-#include "metrics/image_io.h"
-#include "viewer/full_screen.h"
-#include "viewer/steering.h"
-#include "viewer/ui/kept_picture.h"
-#include "viewer/ui/panels.h"
-#include "viewer/ui/saved_file.h"
-#include "viewer/ui/texts.h"
+#include "gl/context.h"
+#include "viewer/window_impl.h"
 
 namespace splatbus::viewer {
 
@@ -26,6 +19,8 @@ namespace {
 
 // A picture that came so recently has the next one soon, and the panels with it.
 constexpr std::int64_t kRestsNs = 30'000'000;
+// A picture is read back, for reopen(), once it has stood for the one, and while pictures come as seldom as the other.
+constexpr std::int64_t kStandsNs = 300'000'000, kStillEveryNs = 5'000'000'000;
 
 std::string glfw_reason() {
   const char* text = nullptr;
@@ -35,169 +30,118 @@ std::string glfw_reason() {
 
 }  // namespace
 
-struct Window::Impl {
-  GLFWwindow* window = nullptr;
-  GLuint texture = 0, framebuffer = 0;
-  Steering steering;
-  std::optional<Panels> panels;  // these two in the window's context
-  std::optional<KeptPicture> kept;
-  std::string folder;
-  bool frame_all = false, picture_due = false;
-  std::pair<int, int> shown_size{};
-  bool damaged = false;  // by another window that was over it
-  std::optional<std::string> save;
-  std::int64_t swapped_ns = 0;
-  FullScreen full_screen;
-
-  explicit Impl(const Camera& camera) : steering(camera) {}
-
-  [[nodiscard]] std::pair<int, int> size() const {
-    int width = 0, height = 0;
-    glfwGetFramebufferSize(window, &width, &height);
-    return {width, height};
-  }
-
-  void key(int which) {
-    if (which == GLFW_KEY_F) act(Action::FrameAll);
-    if (which == GLFW_KEY_G) act(Action::Follow);
-    if (which == GLFW_KEY_I) act(Action::Figures);
-    if (which == GLFW_KEY_M) panels->toggle_menu();
-    if (which == GLFW_KEY_P) act(Action::Snapshot);
-    if (which == GLFW_KEY_V || which == GLFW_KEY_F11) act(Action::FullScreen);
-    if (which != GLFW_KEY_ESCAPE || panels->close()) return;
-    if (FullScreen::is(window)) return full_screen.toggle(window);
-    glfwSetWindowShouldClose(window, GLFW_TRUE);
-  }
-
-  void act(Action action) {
-    switch (action) {
-      case Action::FrameAll:
-        frame_all = true;
-        break;
-      case Action::FullScreen:
-        full_screen.toggle(window);
-        break;
-      case Action::Snapshot:
-        save_picture();
-        break;
-      case Action::Figures:
-        panels->toggle_figures();
-        break;
-      case Action::Follow:
-        if (!steering.following() && !panels->content.player) return panels->say(texts::kNoPlayer);
-        steering.toggle_follow();
-        if (steering.following()) panels->say(texts::kFollowing);
-        break;
-      case Action::SavePly:
-        save = ".ply";
-        break;
-      case Action::SaveGlb:
-        save = ".glb";
-        break;
-      case Action::SaveSpz:
-        save = ".spz";
-        break;
-      case Action::Close:
-        panels->toggle_menu();
-        break;
-    }
-  }
-
-  void save_picture() {
-    try {
-      const cv::Mat picture = kept->read();
-      if (picture.empty()) return panels->say(texts::kNoPicture);
-      const std::string path = new_file(folder, ".png");
-      metrics::write_png(path, picture);
-      panels->say(path);
-    } catch (const std::exception& error) {
-      panels->say(error.what());
-    }
-  }
-
-  /// Framebuffer 0 has the picture.
-  void present(bool new_picture) {
-    panels->content.following = steering.following();
-    panels->content.full_screen = FullScreen::is(window);
-    const Settings before = panels->content.settings;
-    const std::vector<Action> actions = panels->draw(new_picture);
-    picture_due = picture_due || !(panels->content.settings == before);
-    glfwSwapBuffers(window);
-    damaged = false;
-    swapped_ns = bus::now_ns();
-    for (const Action action : actions) act(action);
-  }
-
-  void redraw() {
-    if (!damaged && (!panels->due() || bus::now_ns() - swapped_ns < kRestsNs)) return;
-    const auto [width, height] = size();
-    kept->restore(width, height);
-    present(false);
-  }
-
-  static Impl* of(GLFWwindow* in) { return static_cast<Impl*>(glfwGetWindowUserPointer(in)); }
-  void listen();
-};
-
-void Window::Impl::listen() {
-  glfwSetWindowUserPointer(window, this);
-  glfwSetCursorPosCallback(window, [](GLFWwindow* in, double x, double y) {
-    of(in)->steering.pointer(x, y);
-    of(in)->panels->touch();
-  });
-  glfwSetMouseButtonCallback(window, [](GLFWwindow* in, int, int action, int) {
-    if (action == GLFW_PRESS) of(in)->steering.press(!of(in)->panels->wants_mouse());
-    of(in)->panels->touch();
-  });
-  glfwSetScrollCallback(window, [](GLFWwindow* in, double, double notches) {
-    if (!of(in)->panels->wants_mouse()) of(in)->steering.scroll(notches);
-    of(in)->panels->touch();
-  });
-  glfwSetWindowRefreshCallback(window, [](GLFWwindow* in) { of(in)->damaged = true; });
-  panels.emplace(window);
-  glfwSetKeyCallback(window, [](GLFWwindow* in, int key, int scancode, int action, int mods) {
-    of(in)->panels->key(key, scancode, action, mods);
-    if (action == GLFW_PRESS) of(in)->key(key);
-  });
+void Window::Impl::open(int width, int height) {
+  glfwWindowHint(GLFW_CONTEXT_VERSION_MAJOR, splats ? 4 : 3);
+  glfwWindowHint(GLFW_CONTEXT_VERSION_MINOR, splats ? 5 : 3);
+  glfwWindowHint(GLFW_OPENGL_PROFILE, GLFW_OPENGL_CORE_PROFILE);
+  glfwWindowHint(GLFW_CONTEXT_ROBUSTNESS, GLFW_LOSE_CONTEXT_ON_RESET);
+  window = glfwCreateWindow(width, height, title.c_str(), nullptr, nullptr);
+  if (!window) throw bus::Error(fmt::format("no window with OpenGL {}: {}", splats ? "4.5" : "3.3", glfw_reason()));
+  glfwMakeContextCurrent(window);
+  glfwSwapInterval(splats ? 1 : 0);
+  glGenTextures(1, &texture);
+  glGenFramebuffers(1, &framebuffer);
+  steering.attach(window);
+  kept.emplace();
+  listen();
 }
 
-Window::Window(const Camera& camera, const std::string& title, For what) : impl_(std::make_unique<Impl>(camera)) {
+void Window::Impl::close() {
+  kept.reset();
+  panels.detach();
+  if (window) glfwDestroyWindow(std::exchange(window, nullptr));
+}
+
+void Window::Impl::reopen() {
+  const auto was = [this](int attribute) { return glfwGetWindowAttrib(window, attribute); };
+  const bool full = FullScreen::is(window), iconified = was(GLFW_ICONIFIED) == GLFW_TRUE;
+  const cv::Rect place = full_screen.place(window);
+  glfwWindowHint(GLFW_FOCUSED, was(GLFW_FOCUSED));
+  glfwWindowHint(GLFW_FOCUS_ON_SHOW, was(GLFW_FOCUSED));
+  glfwWindowHint(GLFW_MAXIMIZED, was(GLFW_MAXIMIZED));
+  kept.reset();
+  panels.detach();
+  // The old one goes when the new one shows something.
+  GLFWwindow* const old = std::exchange(window, nullptr);
+  const std::unique_ptr<GLFWwindow, decltype(&glfwDestroyWindow)> goes(old, &glfwDestroyWindow);
+  ignore(old);
+  open(place.width, place.height);
+  glfwSetWindowShouldClose(window, glfwWindowShouldClose(old));
+  glfwSetWindowPos(window, place.x, place.y);
+  if (full) full_screen.fill(window, place);
+  if (iconified) glfwIconifyWindow(window);
+  picture_due = true;
+  if (still.empty()) return;
+  const auto [width, height] = size();
+  kept->put(still);
+  kept->restore(width, height);
+  present(false);
+}
+
+std::pair<int, int> Window::Impl::size() const {
+  int width = 0, height = 0;
+  glfwGetFramebufferSize(window, &width, &height);
+  return {width, height};
+}
+
+void Window::Impl::present(bool new_picture) {
+  panels.content.following = steering.following();
+  panels.content.full_screen = FullScreen::is(window);
+  const Settings before = panels.content.settings;
+  const std::vector<Action> actions = panels.draw(new_picture);
+  picture_due = picture_due || !(panels.content.settings == before);
+  glfwSwapBuffers(window);
+  damaged = false;
+  swapped_ns = bus::now_ns();
+  for (const Action action : actions) act(action);
+}
+
+void Window::Impl::redraw() {
+  if (!damaged && (!panels.due() || bus::now_ns() - swapped_ns < kRestsNs)) return;
+  const auto [width, height] = size();
+  kept->restore(width, height);
+  present(false);
+}
+
+void Window::Impl::keep_still() {
+  if (picture_ns <= still_ns) return;
+  const std::int64_t now_ns = bus::now_ns();
+  if (now_ns - picture_ns < kStandsNs && now_ns - still_ns < kStillEveryNs) return;
+  cv::Mat now = kept->read();
+  require_context();  // what is read of one that is lost is nothing
+  still = std::move(now);
+  still_ns = now_ns;
+}
+
+Window::Window(const Camera& camera, const std::string& title, For what) {
   if (!std::getenv("DISPLAY") && !std::getenv("WAYLAND_DISPLAY")) {
     throw bus::Error(
         "a window was asked for (window=true), but there is no display: neither DISPLAY nor WAYLAND_DISPLAY is set");
   }
   if (!glfwInit()) throw bus::Error(fmt::format("no window: {}", glfw_reason()));
-  const bool splats = what == For::Splats;
-  glfwWindowHint(GLFW_CONTEXT_VERSION_MAJOR, splats ? 4 : 3);
-  glfwWindowHint(GLFW_CONTEXT_VERSION_MINOR, splats ? 5 : 3);
-  glfwWindowHint(GLFW_OPENGL_PROFILE, GLFW_OPENGL_CORE_PROFILE);
-  glfwWindowHint(GLFW_CONTEXT_ROBUSTNESS, splats ? GLFW_LOSE_CONTEXT_ON_RESET : GLFW_NO_ROBUSTNESS);
-  impl_->window = glfwCreateWindow(static_cast<int>(camera.width), static_cast<int>(camera.height), title.c_str(),
-                                   nullptr, nullptr);
-  if (!impl_->window) {
-    const std::string reason = glfw_reason();
+  try {
+    impl_ = std::make_unique<Impl>(camera, title, what == For::Splats);
+  } catch (...) {
     glfwTerminate();
-    throw bus::Error(fmt::format("no window with OpenGL {}: {}", splats ? "4.5" : "3.3", reason));
+    throw;
   }
-  glfwMakeContextCurrent(impl_->window);
-  glfwSwapInterval(splats ? 1 : 0);
-  glGenTextures(1, &impl_->texture);
-  glGenFramebuffers(1, &impl_->framebuffer);
-  impl_->steering.attach(impl_->window);
-  impl_->kept.emplace();
-  impl_->listen();
 }
 
 Window::~Window() {
-  impl_->kept.reset();
-  impl_->panels.reset();
-  glfwDestroyWindow(impl_->window);
+  impl_.reset();
   glfwTerminate();
+}
+
+void Window::reopen() {
+  impl_->reopen();
 }
 
 void Window::poll_events() {
   glfwPollEvents();
-  impl_->steering.advance(!impl_->panels->wants_keyboard());
+  require_context();
+  impl_->steering.advance(!impl_->panels.wants_keyboard());
+  impl_->keep_still();
+  if (std::exchange(impl_->snapshot_due, false)) impl_->save_picture();
   impl_->redraw();
 }
 
@@ -224,7 +168,7 @@ void Window::frame(const glm::vec3& centre_m, float radius_m) {
 }
 
 void Window::follow(const SceneState& scene) {
-  impl_->panels->content.player = scene.objects.contains(kPlayerId);
+  impl_->panels.content.player = scene.objects.contains(kPlayerId);
   impl_->steering.follow(scene);
 }
 
@@ -242,14 +186,16 @@ void Window::show(const cv::Mat& picture) {
 
 void Window::swap() {
   const auto [width, height] = impl_->size();
+  require_context();
   impl_->kept->keep(width, height);
+  impl_->picture_ns = bus::now_ns();
   // GLFW knows a window's new size before OpenGL does: a first picture of it may lack what was outside of the old.
   if (std::exchange(impl_->shown_size, {width, height}) != std::pair(width, height)) impl_->picture_due = true;
   impl_->present(true);
 }
 
 const Settings& Window::settings() const {
-  return impl_->panels->content.settings;
+  return impl_->panels.content.settings;
 }
 
 bool Window::take_picture_due() {
@@ -257,9 +203,9 @@ bool Window::take_picture_due() {
 }
 
 void Window::offer_stream(std::size_t max_gaussians, std::uint32_t max_kbps) {
-  impl_->panels->content.streams = true;
-  impl_->panels->content.settings.max_gaussians = max_gaussians;
-  impl_->panels->content.settings.max_kbps = max_kbps;
+  impl_->panels.content.streams = true;
+  impl_->panels.content.settings.max_gaussians = max_gaussians;
+  impl_->panels.content.settings.max_kbps = max_kbps;
 }
 
 std::optional<std::string> Window::take_save() {
@@ -271,19 +217,19 @@ void Window::save_in(const std::string& folder) {
 }
 
 void Window::set_figures(const Figures& figures) {
-  impl_->panels->set_figures(figures);
+  impl_->panels.set_figures(figures);
 }
 
 bool Window::shows_figures() const {
-  return impl_->panels->shows_figures();
+  return impl_->panels.shows_figures();
 }
 
 void Window::say(const std::string& text) {
-  impl_->panels->say(text);
+  impl_->panels.say(text);
 }
 
 void Window::keep_saying(const std::string& text) {
-  impl_->panels->keep_saying(text);
+  impl_->panels.keep_saying(text);
 }
 
 }  // namespace splatbus::viewer

@@ -32,7 +32,12 @@ class Window {
 
   /// Takes what the person did, and moves the camera on to now. Draws a picture that rests anew where figures
   /// and menu are others, or where another window was over it.
+  ///
+  /// This and swap() throw ContextLost, of gl/context.h.
   void poll_events();
+  /// After ContextLost, once nothing is left of what was made in the context: a window in its place, with another
+  /// context, that shows a picture of a moment ago until the next. Throws as the constructor; `this` is of no use then.
+  void reopen();
   /// Waits for something that the person does, at most so long; for a camera that rests.
   void wait_events(std::chrono::milliseconds most);
   /// CV_8UC3 BGR, stretched to the window.

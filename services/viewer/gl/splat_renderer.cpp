@@ -7,6 +7,7 @@
 #include <stdexcept>
 #include <utility>
 
+#include "gl/context.h"
 #include "gl/program.h"
 #include "viewer/gl/shaders.h"
 #include "viewer/scaled.h"
@@ -32,15 +33,10 @@ GlFramebuffer framebuffer_of(const GlTexture& texture) {
   GlFramebuffer framebuffer = make_framebuffer();
   glNamedFramebufferTexture(framebuffer.get(), GL_COLOR_ATTACHMENT0, texture.get(), 0);
   if (glCheckNamedFramebufferStatus(framebuffer.get(), GL_FRAMEBUFFER) != GL_FRAMEBUFFER_COMPLETE) {
+    require_context();
     throw std::runtime_error("the graphics driver cannot draw into 16-bit floats");
   }
   return framebuffer;
-}
-
-void require_context() {
-  if (epoxy_has_gl_extension("GL_KHR_robustness") && glGetGraphicsResetStatus() != GL_NO_ERROR) {
-    throw std::runtime_error("the OpenGL context was lost: the graphics device was reset");
-  }
 }
 
 }  // namespace

@@ -21,8 +21,11 @@ class KeptPicture {
   void restore(int width, int height) const;
   /// CV_8UC3 BGR; empty where nothing was kept.
   [[nodiscard]] cv::Mat read() const;
+  /// What another one has read is kept from now on.
+  void put(const cv::Mat& picture);
 
  private:
+  void make(int width, int height, const void* bgr);
   GLuint texture_ = 0, framebuffer_ = 0;
   int width_ = 0, height_ = 0;
 };

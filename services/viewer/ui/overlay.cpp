@@ -121,7 +121,7 @@ class ImGuiOverlay final : public Overlay {
 
   GLFWwindow* window_;
   MenuPlace menu_;
-  bool shown_ = false;  ///< the menu
+  bool shown_ = false;       ///< the menu
   std::vector<int> unseen_;  ///< keys that were pressed since it was drawn
   std::vector<Release> releases_;
 };

@@ -14,10 +14,11 @@ constexpr int kTouchedPictures = 3;
 
 }  // namespace
 
-Panels::Panels([[maybe_unused]] GLFWwindow* window) {
+void Panels::attach([[maybe_unused]] GLFWwindow* window) {
 #ifdef SPLATBUS_HAVE_IMGUI
   overlay_ = make_overlay(window);
 #endif
+  touched_ = kTouchedPictures;
 }
 
 void Panels::touch() {

@@ -16,7 +16,10 @@ namespace splatbus::viewer {
 /// a build without Dear ImGui it is never drawn, and notices are in the log alone.
 class Panels {
  public:
-  explicit Panels(GLFWwindow* window);
+  /// Of this window from now on; before detach() it has to be the one that there is.
+  void attach(GLFWwindow* window);
+  /// What was made in the window's context is no more; what is shown and chosen stays.
+  void detach() { overlay_.reset(); }
 
   [[nodiscard]] bool can_draw() const { return overlay_ != nullptr; }
   /// Over a picture that is new, or over the same one again.

@@ -106,6 +106,32 @@ TEST(ViewerRate, ASenderThatIsLateIsNotTakenForASlowLink) {
   EXPECT_GT(link.rate.bytes_per_s(), 900'000);
 }
 
+// It was assumed to take far more, and all that there is to send is on the way at once, where it queues.
+TEST(ViewerRate, ASlowLinkIsFoundAlsoWhereNothingWaitsToBeSent) {
+  constexpr double kPacket = 4000, kLink = 250'000;  // bytes, a second
+  constexpr int kStepsApart = 20;                    // of what is offered: 100 kB each time
+  ViewerRate rate;
+  std::int64_t now_ns = kSecond;
+  rate.set(9000, 0, now_ns);
+  double offered = 0, queued = 0, passed = 0;
+  std::uint64_t sent = 0;
+  for (int step = 0; step < 400; ++step, now_ns += kStep) {
+    if (step % kStepsApart == 0) offered = std::min(offered + 100'000, 200'000.0);
+    while (offered >= kPacket && rate.available(now_ns) >= kPacket && rate.has_room(kPacket, now_ns)) {
+      rate.take(++sent, kPacket, now_ns);
+      offered -= kPacket;
+      queued += kPacket;
+    }
+    if (offered < kPacket) rate.rest();
+    const double bytes = std::min(queued, kLink / 100);
+    queued -= bytes;
+    passed += bytes;
+    if (step % 15 == 0) rate.acknowledged(static_cast<std::uint64_t>(passed / kPacket), now_ns);
+  }
+  EXPECT_LT(rate.bytes_per_s(), 1.5 * kLink);
+  EXPECT_LT(queued, 0.5 * kLink);
+}
+
 // What is larger than the burst is paid for afterwards, and the bucket alone would let two of those pass in one second.
 TEST(ViewerRate, NoSecondHasMoreThanATenthAboveALowRate) {
   for (const double kbps : {100.0, 300.0}) {

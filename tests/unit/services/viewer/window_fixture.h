@@ -74,7 +74,9 @@ class WindowTest : public StreamTest {
     set("path=still");
     set("threads=1");
     for (const std::string& parameter : more) set(parameter);
+    if (!preloaded_.empty()) ::setenv("LD_PRELOAD", preloaded_.c_str(), 1);
     viewer_.emplace("splatbus-viewer", arguments, directory_.path() + "/log");
+    ::unsetenv("LD_PRELOAD");
     ASSERT_TRUE(soon([&] { return cv::mean(display_->screen()(kPicture))[1] > 1; })) << log();
     Display::act("search --sync --name splatbus windowfocus --sync mousemove 20 300");
   }
@@ -167,6 +169,7 @@ class WindowTest : public StreamTest {
   }
 
   std::size_t shown_ = 0;  ///< Gaussians, without those of objects that are not there
+  std::string preloaded_;  ///< library, into the viewer
   std::string out_;
   std::shared_ptr<bus::Context> peer_;
   bus::Subscriber poses_;
