@@ -156,7 +156,9 @@ bool Sharing::leave_pages(EncodedPages& pages) const {
 
 TickShare Sharing::begin_tick(std::int64_t now_ns) {
   forget_silent(now_ns);
-  for (auto& [number, inherited] : inherited_) ++inherited.ticks;
+  for (auto& [number, inherited] : inherited_) {
+    if (!inherited.tick_ns) inherited.tick_ns = now_ns;
+  }
   TickShare share;
   if (is_spent(place())) model_.release();
   if (!model_.status().ready) place_ = {};  // what begins anew joins those that there are

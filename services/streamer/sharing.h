@@ -134,7 +134,7 @@ class Sharing {
   Peers peers_;
   struct Inherited {
     stream::OfferedPage page;
-    int ticks = 0;  ///< that have begun since; each makes anew those that are its own
+    std::optional<std::int64_t> tick_ns;  ///< when the first tick since began, which makes it anew if it is one's own
   };
   std::map<std::uint32_t, Inherited> inherited_;  ///< pages of those that are gone, by number
   ShareMessage::Place place_;                     ///< that viewers are sent: as after the last tick

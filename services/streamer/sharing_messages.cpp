@@ -10,9 +10,6 @@ namespace splatbus::streamer {
 
 namespace {
 
-// Until another one that has fallen heir to a page has surely said so.
-constexpr int kTicksInherited = 3;
-
 constexpr std::int64_t kSayAgainNs = 1'000'000'000;
 constexpr std::size_t kMessageBytes = std::size_t{4} << 20;  // of answers, about
 
@@ -125,9 +122,10 @@ void Sharing::contribute(std::int64_t now_ns) {
 void Sharing::end_tick(stream::StreamUpdate update, std::int64_t now_ns) {
   place_ = place();
   ticked_ = true;
-  std::erase_if(inherited_, [this](const auto& entry) {
+  // Another heir may only have heard of it as long ago as one is silent before it is gone.
+  std::erase_if(inherited_, [&](const auto& entry) {
     const auto& [number, inherited] = entry;
-    return inherited.ticks > (division_.owner_of(number) == own_ ? 0 : kTicksInherited);
+    return inherited.tick_ns && (division_.owner_of(number) == own_ || now_ns - *inherited.tick_ns > kSilentNs);
   });
   contribute(now_ns);
   if (publishes()) publish_tick(update.deltas, now_ns);

@@ -109,14 +109,22 @@ void ViewerRate::forget_unacknowledged(std::int64_t now_ns) {
 void ViewerRate::take(std::uint64_t sequence, double bytes, std::int64_t now_ns) {
   if (acknowledged_ == last_sequence_) acknowledged_ns_ = now_ns;
   const double tokens = bucket_.available(now_ns);
-  // A full bucket: this process was late, and not the link.
-  if (!std::exchange(held_up_, false) && tokens > 0.999 * burst()) rest();
+  const bool idle = std::exchange(idle_, false);
+  if (!std::exchange(held_up_, false) && tokens > 0.999 * burst()) {
+    rested_ = true;
+    rested_until_ = last_sequence_;
+    // A full bucket though there was something to send: this process was late, and not the link.
+    late_ = late_ || !idle;
+    if (!idle) late_until_ = last_sequence_;
+  }
   packets_.push_back({.sequence = sequence,
                       .bytes = bytes,
                       .sent_ns = now_ns,
                       .acknowledged_ns = acknowledged_ns_,
                       .delivered = delivered_,
-                      .rested = rested_ || starts()});
+                      .ahead = on_the_way_,
+                      .rested = rested_ || starts(),
+                      .late = late_});
   on_the_way_ += bytes;
   second_.add(bytes / most_, now_ns);
   last_sequence_ = sequence;
@@ -125,7 +133,7 @@ void ViewerRate::take(std::uint64_t sequence, double bytes, std::int64_t now_ns)
 }
 
 void ViewerRate::rest() {
-  rested_ = true;
+  rested_ = idle_ = true;
   rested_until_ = last_sequence_;
 }
 
@@ -149,6 +157,7 @@ void ViewerRate::acknowledged(std::uint64_t newest, std::int64_t now_ns) {
   said_s_ += 0.25 * (std::clamp(since_s, kLeastSaid_s, kMostSaid_s) - said_s_);
   acknowledged_ns_ = now_ns;
   if (newest > rested_until_) rested_ = false;
+  if (newest > late_until_) late_ = false;
   refill(now_ns);
 }
 
@@ -175,9 +184,10 @@ void ViewerRate::learn_rate(const Packet& packet, std::int64_t now_ns) {
   const std::int64_t over_ns = now_ns - packet.acknowledged_ns;
   if (over_ns < kLeastSampleNs) return;
   const double sample = (delivered_ - packet.delivered) / (static_cast<double>(over_ns) * 1e-9);
-  // A queue on the way is the link's, also where nothing more waited here.
   const bool queues = ways_.size() >= kWaysOfAQueue && queued_s() > kLongQueue_s;
-  if (packet.rested && sample <= link_ && !queues) return;
+  // A queue of what was sent is the link's, also where nothing more waited here.
+  const bool waits = queues && !packet.late && packet.ahead > kLeastWindow;
+  if (packet.rested && sample <= link_ && !waits) return;
   samples_.push_back({now_ns, sample});
   while ((samples_.size() > kRememberSamples && now_ns - samples_.front().at_ns > kRememberRateNs) ||
          (samples_.size() > kSamplesOfAQueue && queues)) {

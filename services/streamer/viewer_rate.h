@@ -30,7 +30,8 @@ class ViewerRate {
   /// The packet of that number, which only grows, was sent. What is larger than the burst goes when that is there, and
   /// is paid for later.
   void take(std::uint64_t sequence, double bytes, std::int64_t now_ns);
-  /// There was nothing more to send: what is delivered until then says nothing of what the link takes.
+  /// There was nothing more to send: what is delivered until then says nothing of what the link takes, unless much of
+  /// it waits on the way.
   void rest();
   /// The packets up to `newest` have come, or never will.
   void acknowledged(std::uint64_t newest, std::int64_t now_ns);
@@ -80,8 +81,8 @@ class ViewerRate {
     std::uint64_t sequence = 0;
     double bytes = 0;
     std::int64_t sent_ns = 0, acknowledged_ns = 0;  ///< the latter: the last packet when this one was sent
-    double delivered = 0;                           ///< bytes, when it was sent
-    bool rested = false;
+    double delivered = 0, ahead = 0;                ///< bytes, when it was sent: in all, and on the way then
+    bool rested = false, late = false;              ///< this process had paused, having nothing to send or otherwise
   };
   struct Sample {
     std::int64_t at_ns = 0;
@@ -111,11 +112,12 @@ class ViewerRate {
   double forgettable_ = 0;                            ///< bytes, of the packet that was on the way for longest
   std::int64_t waited_ns_ = 0;                        ///< the packet that was acknowledged last, beyond the least way
   std::int64_t least_way_before_ns_ = kNever, least_way_now_ns_ = kNever, least_way_since_ns_ = 0;
-  std::uint64_t last_sequence_ = 0, acknowledged_ = 0, rested_until_ = 0;
-  bool rested_ = true, held_up_ = false;  ///< the latter: by the window
-  bool queued_ = false;                   ///< packets have waited on the way, once
-  std::deque<Sample> samples_;            ///< of the last seconds
-  std::deque<Way> ways_;                  ///< of the last second
+  std::uint64_t last_sequence_ = 0, acknowledged_ = 0, rested_until_ = 0, late_until_ = 0;
+  bool rested_ = true, late_ = false, held_up_ = false;  ///< the last: by the window
+  bool idle_ = true;                                     ///< rest() was the last that was heard
+  bool queued_ = false;                                  ///< packets have waited on the way, once
+  std::deque<Sample> samples_;                           ///< of the last seconds
+  std::deque<Way> ways_;                                 ///< of the last second
 };
 
 }  // namespace splatbus::streamer

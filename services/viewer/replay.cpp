@@ -134,12 +134,13 @@ class WindowReplay {
       try {
         turn();
       } catch (const ContextLost& lost) {
-        spdlog::warn("{}: another one draws from now on", lost.what());
+        spdlog::warn("{}", lost.what());
         losses.recover(lost, [&] {
           painter_.reset();
           window_.reopen();
           painter_ = make_painter_();
         });
+        spdlog::info("there is another context, and all is drawn anew");
         feed_.give_all();
       }
     }

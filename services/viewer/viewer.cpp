@@ -113,13 +113,14 @@ void Viewer::run() {
 }
 
 void Viewer::renew_context(const ContextLost& lost) {
-  spdlog::warn("{}: another one draws from now on", lost.what());
+  spdlog::warn("{}", lost.what());
   const bool opengl = options_->draws_through_opengl();
   losses_.recover(lost, [&] {
     if (opengl) painter_.reset();
     if (window_) window_->reopen();
     if (opengl) painter_ = make_painter(*options_, host_.device);
   });
+  spdlog::info("there is another context, and all is drawn anew");
   if (!opengl) return;
   receiver_.give_all();
   awaits_all_ = true;

@@ -62,6 +62,7 @@ void Window::Impl::reopen() {
   kept.reset();
   panels.detach();
   // The old one goes when the new one shows something.
+  glfwPollEvents();  // of the time in which nobody listened
   GLFWwindow* const old = std::exchange(window, nullptr);
   const std::unique_ptr<GLFWwindow, decltype(&glfwDestroyWindow)> goes(old, &glfwDestroyWindow);
   ignore(old);
@@ -141,7 +142,7 @@ void Window::poll_events() {
   require_context();
   impl_->steering.advance(!impl_->panels.wants_keyboard());
   impl_->keep_still();
-  if (std::exchange(impl_->snapshot_due, false)) impl_->save_picture();
+  if (impl_->snapshot_due) impl_->save_picture();
   impl_->redraw();
 }
 

@@ -58,6 +58,7 @@ void Window::Impl::act(Action action) {
 void Window::Impl::save_picture() {
   const cv::Mat picture = kept->read();
   require_context();
+  snapshot_due = false;
   try {
     if (picture.empty()) return panels.say(texts::kNoPicture);
     const std::string path = new_file(folder, ".png");

@@ -118,8 +118,8 @@ export class Comparison {
     this.#picture.getContext('2d')?.putImageData(new ImageData(answer.rgba, answer.width, answer.height), 0, 0);
     this.#show(true);
     const pair: Pair = { id: asked.id, width: answer.width, height: answer.height, picture: splats.rgba, reference: answer.rgba };
-    this.#measuring = asked.id;
     this.#metrics().postMessage(pair, [pair.picture.buffer, pair.reference.buffer]);
+    this.#measuring = asked.id;
   }
 
   #metrics(): Worker {

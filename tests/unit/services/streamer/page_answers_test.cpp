@@ -39,7 +39,7 @@ class SlowReader {
   }
 
   int layouts = 0, begun = 0, ended = 0;  ///< manifests
-  std::vector<std::uint32_t> named;       ///< by them
+  std::vector<std::uint32_t> named;       ///< by the one that was begun last
   std::vector<std::uint32_t> pages, gone;
   int ended_before_pages = 0;
 
@@ -47,7 +47,10 @@ class SlowReader {
   void take(const wire::Packet& root) {
     layouts += root.body_type() == wire::Body::Layout ? 1 : 0;
     if (const auto* body = root.body_as_Manifest()) {
-      begun += body->whole() ? 1 : 0;
+      if (body->whole()) {
+        ++begun;
+        named.clear();
+      }
       ended += body->more() ? 0 : 1;
       for (const wire::PageInfo* page : *body->pages()) named.push_back(page->page());
     }
@@ -78,6 +81,7 @@ class PageAnswersTest : public testing::Test {
       all.push_back({.page = number, .version = 1, .structure = 1, .count = 1000, .frozen = true, .bounds = {}});
       offered.of_others.push_back(number);
     }
+    numbers_.clear();
     for (const stream::OfferedPage& page : all) numbers_.push_back(page.page);
     offered.all = std::make_shared<const std::vector<stream::OfferedPage>>(std::move(all));
     hub_.restart_all(std::move(offered));
@@ -157,6 +161,17 @@ TEST_F(PageAnswersTest, WhoNeverReadsIsGivenUp) {
   one.named.clear();
   one.ask(true);
   EXPECT_TRUE(read_slowly_until(one, [&] { return one.named.size() == numbers_.size(); }));
+}
+
+TEST_F(PageAnswersTest, OfAStreamThatBeganAnewIsTheManifestThatIsSent) {
+  offer(20'000);
+  SlowReader one = reader();
+  one.ask(true);
+  ASSERT_TRUE(bus_test::eventually([&] { return pump(); }));
+  offer(9'000);
+  one.ask(true);  // behind what is in the socket
+  ASSERT_TRUE(read_slowly_until(one, [&] { return one.ended > 0; })) << one.named.size() << " pages";
+  EXPECT_EQ(one.named, numbers_);
 }
 
 TEST_F(PageAnswersTest, OneReaderThatDoesNotReadKeepsNoOtherWaiting) {

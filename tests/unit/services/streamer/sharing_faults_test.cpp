@@ -103,6 +103,42 @@ TEST_F(SharingTest, PagesOfOneThatIsGoneStayUntilTheyAreMadeAnew) {
   EXPECT_TRUE(stood);
 }
 
+/// Those that another heir makes anew stay until that one has said so.
+TEST_F(SharingTest, PagesOfOneThatIsGoneStayUntilAnyHeirHasMadeThemAnew) {
+  const std::string three_name = "streamer-3";
+  SteppedStreamer one(connect(kOne), changes_of({})), two(connect(kTwo), changes_of({}));
+  auto three = std::make_unique<SteppedStreamer>(connect(three_name), changes_of({}));
+  trainer_.publish(model_);
+  const auto viewer = viewer_at(one.endpoint());
+  ASSERT_TRUE(until({viewer.get()}, [&] {
+    for (SteppedStreamer* each : {&one, &two, three.get()}) each->turn(0.02);
+    return shows_model(*viewer) && divided({kOne, kTwo, three_name}, *viewer);
+  }));
+  three.reset();
+  bool stood = true;
+  const auto look = [&] {
+    for (int k = 0; k < 4; ++k) {
+      one.turn(0);
+      viewer->poll(2ms);
+      stood = stood && viewer->replica().count() == model_.count();
+    }
+  };
+  // The other heir is in the middle of a tick when it is known.
+  for (int ms = 0; ms < 3100; ms += 10) {
+    one.turn(0.01);
+    if (ms < 2900) two.turn(0.01);
+    look();
+  }
+  EXPECT_TRUE(stood);
+  ASSERT_TRUE(until({viewer.get()}, [&] {
+    one.turn(0.02);
+    two.turn(0.02);
+    look();
+    return shows_model(*viewer) && divided({kOne, kTwo}, *viewer);
+  }));
+  EXPECT_TRUE(stood);
+}
+
 TEST_F(SharingFaults, OneThatWasStuckTakesItsPagesBack) {
   const std::set<std::uint32_t> before = said_[kTwo].pages;
   auto stuck = std::exchange(stepped_, nullptr);

@@ -104,6 +104,30 @@ TEST(ViewerRate, ASenderThatIsLateIsNotTakenForASlowLink) {
   link.live(10, 20'000'000);
   link.live(20, 20'000'000, 300'000'000);
   EXPECT_GT(link.rate.bytes_per_s(), 900'000);
+  link.live(20, 20'000'000, 450'000'000);
+  EXPECT_GT(link.rate.bytes_per_s(), 900'000);
+}
+
+TEST(ViewerRate, AWayThatGrowsLongUnderATrickleSaysNothingOfTheLink) {
+  ViewerRate rate;
+  std::int64_t now_ns = kSecond;
+  rate.set(8000, 0, now_ns);
+  std::deque<std::int64_t> sent_ns;
+  std::uint64_t sent = 0, come = 0;
+  for (int step = 0; step < 1200; ++step, now_ns += kStep) {
+    const std::int64_t way_ns = step < 600 ? 20'000'000 : 520'000'000;
+    if (step % 5 == 0 && rate.available(now_ns) >= 750 && rate.has_room(750, now_ns)) {
+      rate.take(++sent, 750, now_ns);
+      sent_ns.push_back(now_ns);
+      rate.rest();
+    }
+    while (!sent_ns.empty() && now_ns - sent_ns.front() >= way_ns) {
+      sent_ns.pop_front();
+      ++come;
+    }
+    if (step % 15 == 0) rate.acknowledged(come, now_ns);
+  }
+  EXPECT_GT(rate.bytes_per_s(), 900'000);
 }
 
 // It was assumed to take far more, and all that there is to send is on the way at once, where it queues.

@@ -20,8 +20,12 @@ class LostWindow : public WindowTest {
 #endif
   }
 
-  void lose() { std::ofstream{lost_}; }
-  [[nodiscard]] bool heard() const { return !fs::exists(lost_); }
+  void lose() {
+    std::ofstream{lost_};
+  }
+  [[nodiscard]] bool heard() const {
+    return !fs::exists(lost_);
+  }
   /// It stands all the while, and is the same afterwards.
   void expect_to_survive() {
     Display::act("key i");
@@ -73,7 +77,14 @@ TEST_F(LostWindow, ShowsAReplayAgain) {
 
 TEST_F(LostWindow, EndsWhereTheDeviceIsLostAgainAndAgain) {
   start({"opengl=true", "draw=quads"});
+  const auto renewed = [&] {
+    const std::string text = log();
+    int count = 0;
+    for (std::size_t at = 0; (at = text.find("there is another context", at)) != std::string::npos; ++at) ++count;
+    return count;
+  };
   for (int k = 0; k < 4; ++k) {
+    ASSERT_TRUE(soon([&] { return renewed() == k; })) << k << log();
     lose();
     ASSERT_TRUE(soon([&] { return heard(); })) << k << log();
   }
