@@ -23,8 +23,7 @@ class Nearest {
  public:
   Nearest(int width, int height)
       : width_(width), height_(height), pixels_(static_cast<std::size_t>(width) * static_cast<std::size_t>(height)) {}
-  /// Whether any of it is in the picture.
-  bool add(const Disc& disc) {
+  void add(const Disc& disc) {
     const auto column = [&](float x) { return static_cast<int>(std::clamp(x, -1.0F, static_cast<float>(width_))); };
     const auto row = [&](float y) { return static_cast<int>(std::clamp(y, -1.0F, static_cast<float>(height_))); };
     const int x0 = std::max(column(disc.x_px - disc.radius_px), 0), y0 = std::max(row(disc.y_px - disc.radius_px), 0);
@@ -36,7 +35,6 @@ class Nearest {
         if (disc.z_m < pixel.z_m) pixel = {disc.z_m, disc.page};
       }
     }
-    return x0 <= x1 && y0 <= y1;
   }
   void add_areas(std::unordered_map<std::uint32_t, float>& areas, float of_pixel) const {
     for (const Pixel& pixel : pixels_) {
@@ -74,13 +72,14 @@ std::unordered_map<std::uint32_t, float> seen_areas_px2(std::span<const stream::
       if (object == objects.end()) continue;
       world_from_page = object->second;
     }
+    areas[page.page] = 0;
     const float radius_m = page.surfels->radius_m * world_from_page.scale;
     for (const glm::vec3& point : page.surfels->points_m) {
       const glm::vec3 p = camera_from_world * (world_from_page * point);
       if (p.z < camera.near_m) continue;
       const float x = (camera.fx * p.x / p.z + camera.cx) * small, y = (camera.fy * p.y / p.z + camera.cy) * small;
       const float radius_px = kCovers * radius_m * std::max(camera.fx, camera.fy) / p.z * small;
-      if (nearest.add({page.page, x, y, p.z, radius_px})) areas[page.page] = 0;
+      nearest.add({page.page, x, y, p.z, radius_px});
     }
   }
   nearest.add_areas(areas, 1 / (small * small));

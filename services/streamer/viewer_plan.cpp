@@ -15,7 +15,7 @@ namespace {
 // of what is held never hold it up.
 constexpr float kMissing = 16;
 constexpr float kBehindSteps = 5;  // of a page that has missed deltas which are no longer kept
-constexpr float kHidden = 0.01F;   // of what a page in the picture would be worth if nothing hid it
+constexpr float kHidden = 0.01F;   // of what a page would be worth if nothing hid it; outside of the picture too
 constexpr std::int64_t kLookNs = 100'000'000;
 constexpr float kLeftSteps_s = 5;          // what a page changes in a second, while no delta says it
 constexpr std::uint32_t kTicksDeltas = 2;  // that one tick may have of a page: what it is now, and its values
