@@ -216,7 +216,7 @@ test('of two that are started at once one draws, and the other is given back', (
         };
         const first = stage.start();
         await Promise.all([stage.lend(), first]);
-        const lost = await Promise.all(devices.map(({ lost }) => Promise.race([lost.then(() => true), new Promise((resolve) => setTimeout(resolve, 1000, false))])));
+        const lost = await Promise.all(devices.map(({ lost }) => Promise.race([lost.then(() => true), new Promise((resolve) => setTimeout(resolve, 20_000, false))])));
         return { lost, api: stage.renderer.api, canvases: stage.element.querySelectorAll('canvas').length };
       });
       assert.deepEqual(left, { lost: [true], api: 'webgl2', canvases: 1 });

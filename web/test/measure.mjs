@@ -29,9 +29,11 @@ async function sayOutage(pipeline, source, isBack) {
     setInterval(() => (window.wasAway ||= window.splatbus.connection !== 'open'), 10);
   });
   const whole = (await page.screenshot()).length;
-  const before = await page.evaluate(() => window.splatbus.figures);
   const lives = await pipeline.kill(source);
   const start = performance.now();
+  // Of what is on its way from the one that was killed nothing counts.
+  await new Promise((resolve) => setTimeout(resolve, 100));
+  const before = await page.evaluate(() => window.splatbus.figures);
   const seconds = () => ((performance.now() - start) / 1000).toFixed(1);
   let backAfter = null;
   const back = lives().then(async () => {
