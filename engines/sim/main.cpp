@@ -7,6 +7,8 @@
 #include <csignal>
 #include <cstdlib>
 #include <exception>
+#include <functional>
+#include <future>
 #include <memory>
 #include <stdexcept>
 
@@ -185,8 +187,10 @@ void run(const Flags& flags) {
     print_walk(flags.seed);
     return;
   }
-  Scene scene = make_scene(flags);
+  // Beside each other: either takes a few tenths of a second, and of a busy machine two threads have more than one.
+  std::future<Scene> making = std::async(std::launch::async, make_scene, std::cref(flags));
   const auto context = make_context(flags.snapshot.empty() ? flags.backend : "cpu");
+  Scene scene = making.get();
   spdlog::info("{} objects, rendered by {}", scene.objects.size(), context->description());
   spdlog::info("{}", description(scene));
   Renderer renderer(context, std::move(scene), flags.renderer);

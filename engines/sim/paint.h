@@ -11,8 +11,8 @@
 
 namespace splatbus::sim {
 
-/// The sRGB byte of a linear value.
-[[nodiscard]] std::uint8_t encode_srgb(float linear);
+/// Writes the three sRGB bytes of a linear color.
+void encode_srgb(const glm::vec3& linear, std::uint8_t* bytes);
 
 [[nodiscard]] inline float hash01(std::uint32_t seed, int x, int y) {
   return random01(seed, static_cast<std::uint32_t>(x), static_cast<std::uint32_t>(y));
@@ -33,7 +33,7 @@ Image paint(std::uint32_t side, const ColorAt& color_at) {
         sum += color_at((static_cast<float>(x) + offset.x) / static_cast<float>(side),
                         (static_cast<float>(y) + offset.y) / static_cast<float>(side));
       }
-      for (int c = 0; c < 3; ++c) texel[c] = encode_srgb(sum[c] / 4);
+      encode_srgb(sum / 4.0F, texel);
     }
   });
   return image;

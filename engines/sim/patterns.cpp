@@ -38,23 +38,47 @@ float at(const std::vector<float>& coverage, std::uint32_t side, float u, float 
   return coverage[std::size_t{y} * side + x];
 }
 
-glm::vec3 plank(std::uint32_t seed, float u, float v) {
-  constexpr int kRows = 22;  // across 5 m
-  constexpr int kLengths = 4;
-  const float row_position = v * kRows;
-  const int row = static_cast<int>(row_position);
-  const float shifted = u * kLengths + hash01(seed, row, 7) * kLengths;
-  const int index = static_cast<int>(shifted) % kLengths;
-  const float tone = hash01(seed + 5, row, index);
-  const float streak = grain(seed + 11 + static_cast<std::uint32_t>(row * kLengths + index), u * 5, v * 1.5F);
-  const float from_row_edge = std::min(row_position - std::floor(row_position), std::ceil(row_position) - row_position);
-  const float from_end = std::min(shifted - std::floor(shifted), std::ceil(shifted) - shifted);
-  const bool seam = from_row_edge < 0.03F || from_end < 0.004F;
-  static const glm::vec3 dark = color("#8a5a34");
-  static const glm::vec3 light = color("#c89a66");
-  const glm::vec3 base = glm::mix(dark, light, 0.65F * tone + 0.35F * streak);
-  return base * (seam ? 0.35F : 1.0F);
-}
+/// Boards of a floor, in rows of four, each of a tone and a grain of its own.
+class Planks {
+ public:
+  explicit Planks(std::uint32_t seed) : seed_(seed) {
+    for (int row = 0; row < kRows; ++row) {
+      auto& [shift, tones] = rows_.at(static_cast<std::size_t>(row));
+      shift = hash01(seed, row, 7) * kLengths;
+      for (int index = 0; index < kLengths; ++index) {
+        tones.at(static_cast<std::size_t>(index)) = hash01(seed + 5, row, index);
+      }
+    }
+  }
+
+  [[nodiscard]] glm::vec3 at(float u, float v) const {
+    const float row_position = v * kRows;
+    const auto row = static_cast<std::uint32_t>(row_position);
+    const auto& [shift, tones] = rows_[row];
+    const float shifted = u * kLengths + shift;
+    const std::uint32_t index = static_cast<std::uint32_t>(shifted) % kLengths;
+    const float streak = grain(seed_ + 11 + row * kLengths + index, u * 5, v * 1.5F);
+    const bool seam = from_edge(row_position) < 0.03F || from_edge(shifted) < 0.004F;
+    const glm::vec3 base = glm::mix(dark_, light_, 0.65F * tones[index] + 0.35F * streak);
+    return base * (seam ? 0.35F : 1.0F);
+  }
+
+ private:
+  static constexpr int kRows = 22;  // across 5 m
+  static constexpr int kLengths = 4;
+  struct Row {
+    float shift = 0;
+    std::array<float, kLengths> tones{};
+  };
+  static float from_edge(float position) {
+    const float past = position - static_cast<float>(static_cast<int>(position));
+    return std::min(past, 1 - past);
+  }
+
+  std::uint32_t seed_;
+  glm::vec3 dark_ = color("#8a5a34"), light_ = color("#c89a66");
+  std::array<Row, kRows> rows_;
+};
 
 /// Concentric patterned bands; `radius` in [0, 1] of the rug's.
 glm::vec3 rug(float radius, float angle) {
@@ -184,10 +208,11 @@ Image page(std::uint32_t seed, const glm::vec3& paper, const glm::vec3& ink) {
 Image floor_with_rug(std::uint32_t seed) {
   constexpr std::uint32_t kFloorSide = 1024;
   constexpr float kRugRadius = 0.29F;  // of the floor's side
+  const Planks planks(seed);
   return paint(kFloorSide, [&](float u, float v) {
     const glm::vec2 p{u - 0.5F, v - 0.5F};
     const float radius = glm::length(p) / kRugRadius;
-    if (radius >= 1) return plank(seed, u, v);
+    if (radius >= 1) return planks.at(u, v);
     const float weave = 0.9F + 0.2F * noise(seed + 77, {u * 512, v * 512}, {512, 512});
     return rug(radius, std::atan2(p.y, p.x) + glm::pi<float>()) * weave;
   });

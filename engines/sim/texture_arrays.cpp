@@ -5,6 +5,8 @@
 #include <map>
 #include <tuple>
 
+#include "sim/mipmaps.h"
+
 namespace splatbus::sim {
 namespace {
 
@@ -16,13 +18,21 @@ GlTexture upload(const std::vector<const Image*>& layers, bool repeat, float ani
   const auto levels = static_cast<GLsizei>(std::bit_width(std::max(first.width, first.height)));
   const auto width = static_cast<GLsizei>(first.width);
   const auto height = static_cast<GLsizei>(first.height);
+  // A driver of software compiles programs for them, which takes longer than all that the processor has to do.
+  const bool whole = has_whole_mipmaps(first);
   glTextureStorage3D(texture.get(), levels, GL_SRGB8_ALPHA8, width, height, static_cast<GLsizei>(layers.size()));
   GLint layer = 0;
   for (const Image* image : layers) {
-    glTextureSubImage3D(texture.get(), 0, 0, 0, layer++, width, height, 1, GL_RGBA, GL_UNSIGNED_BYTE,
-                        image->rgba.data());
+    GLint level = 0;
+    const auto put = [&](const Image& texels) {
+      glTextureSubImage3D(texture.get(), level++, 0, 0, layer, static_cast<GLsizei>(texels.width),
+                          static_cast<GLsizei>(texels.height), 1, GL_RGBA, GL_UNSIGNED_BYTE, texels.rgba.data());
+    };
+    put(*image);
+    if (whole) std::ranges::for_each(mipmaps(*image), put);
+    ++layer;
   }
-  glGenerateTextureMipmap(texture.get());
+  if (!whole) glGenerateTextureMipmap(texture.get());
   glTextureParameteri(texture.get(), GL_TEXTURE_MIN_FILTER, GL_LINEAR_MIPMAP_LINEAR);
   glTextureParameteri(texture.get(), GL_TEXTURE_MAG_FILTER, GL_LINEAR);
   for (const GLenum axis : {GL_TEXTURE_WRAP_S, GL_TEXTURE_WRAP_T}) {

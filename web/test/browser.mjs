@@ -2,6 +2,7 @@
 import { createReadStream, existsSync } from 'node:fs';
 import { createServer } from 'node:http';
 import { extname, join, normalize } from 'node:path';
+import { fileURLToPath } from 'node:url';
 import { chromium } from 'playwright-core';
 
 export const kChromium = process.env.SPLATBUS_CHROMIUM ?? '/usr/bin/chromium';
@@ -44,7 +45,7 @@ export async function serve(folders, posted = []) {
  */
 export function launch(more = []) {
   return chromium.launch({
-    executablePath: kChromium,
+    executablePath: process.getuid() === 0 ? fileURLToPath(new URL('chromium.sh', import.meta.url)) : kChromium,
     headless: true,
     args: [
       '--no-sandbox',

@@ -13,7 +13,7 @@ const middle = (values) => values.sort((a, b) => a - b)[values.length >> 1];
 
 /** When a page has what the service that was killed gives, and all of the model; `then` are its figures from before. */
 const kBack = {
-  gateway: (then) => window.wasAway && window.splatbus.connection === 'open' && window.splatbus.figures.missing === 0 && window.splatbus.figures.sequence > then.sequence,
+  gateway: (then) => window.wasAway && window.splatbus.connection === 'open' && window.splatbus.figures.missing === 0 && window.splatbus.figures.sceneVersion > then.sceneVersion,
   streamer: (then) => window.splatbus.figures.epoch !== then.epoch && window.splatbus.figures.missing === 0,
   engine: (then) => window.splatbus.figures.sceneVersion > then.sceneVersion && window.splatbus.figures.missing === 0,
   trainer: () => window.splatbus.figures.missing === 0,
