@@ -6,6 +6,8 @@
 #include <cstring>
 #include <utility>
 
+#include "bus/connection_watch.h"
+
 namespace splatbus::bus {
 namespace {
 
@@ -107,8 +109,6 @@ constexpr int remote_high_water_mark = 256;
 constexpr int linger_ms = 500;
 constexpr int reconnect_ms = 50;
 constexpr int reconnect_max_ms = 500;
-constexpr int heartbeat_ms = 1000;
-constexpr int heartbeat_timeout_ms = 5000;
 
 }  // namespace
 
@@ -120,9 +120,7 @@ void configure_socket(zmq::socket_t& socket, bool local) {
   socket.set(zmq::sockopt::maxmsgsize, max_frame_bytes);
   socket.set(zmq::sockopt::reconnect_ivl, reconnect_ms);
   socket.set(zmq::sockopt::reconnect_ivl_max, reconnect_max_ms);
-  if (local) return;
-  socket.set(zmq::sockopt::heartbeat_ivl, heartbeat_ms);
-  socket.set(zmq::sockopt::heartbeat_timeout, heartbeat_timeout_ms);
+  if (!local) watch_connections(socket);
 }
 
 }  // namespace splatbus::bus

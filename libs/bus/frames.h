@@ -43,7 +43,7 @@ const wire::Header* verified_header(const zmq::message_t& body, std::string& why
 std::string printable(std::string_view text, std::size_t limit = 64);
 
 /// What every socket of the bus is set to: high-water marks, how long the last messages linger, the size limit of a
-/// frame, reconnection, and heartbeats on connections that leave the machine.
+/// frame, reconnection, and watch_connections() where they may leave the machine.
 void configure_socket(zmq::socket_t& socket, bool local);
 
 }  // namespace splatbus::bus

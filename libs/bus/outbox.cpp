@@ -69,16 +69,14 @@ std::uint64_t Outbox::send(Frames frames, const std::string* latch_key) {
   const std::scoped_lock lock(mutex_);
   if (closed_) return 0;
   read_subscriptions_if_due();
-  const std::string topic = frames.topic.to_string();
-  const std::uint64_t sequence = ++sequences_[topic];
+  const std::uint64_t sequence = ++sequence_of(frames.topic_text());
   auto* header =
       const_cast<wire::Header*>(flatbuffers::GetRoot<wire::Envelope>(frames.body.data())->header());  // NOLINT
   header->mutate_sequence(sequence);
   const std::uint64_t order = next_order_++;
-  if (latch_key != nullptr) latched_.put(topic, *latch_key, "", order, frames.share());
+  if (latch_key != nullptr) latched_.put(frames.topic.to_string(), *latch_key, "", order, frames.share());
   if (connected_) {
     send_frames(socket_, std::move(frames));
-    read_subscriptions_if_due();
     return sequence;
   }
   waiting_ = true;
@@ -91,6 +89,11 @@ std::uint64_t Outbox::send(Frames frames, const std::string* latch_key) {
     }
   }
   return sequence;
+}
+
+std::uint64_t& Outbox::sequence_of(std::string_view topic) {
+  const auto found = sequences_.find(topic);
+  return found != sequences_.end() ? found->second : sequences_[std::string(topic)];
 }
 
 bool Outbox::wait_connected(std::chrono::milliseconds timeout) {

@@ -4,10 +4,12 @@
 #include <condition_variable>
 #include <cstdint>
 #include <deque>
+#include <functional>
 #include <map>
 #include <mutex>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <thread>
 #include <zmq.hpp>
 
@@ -48,6 +50,7 @@ class Outbox {
     std::uint64_t order;
     Frames frames;
   };
+  std::uint64_t& sequence_of(std::string_view topic);
   void run(const std::stop_token& stop);
   void read_subscriptions();
   void read_subscriptions_if_due();
@@ -64,7 +67,7 @@ class Outbox {
   std::int64_t reached_ns_ = 0;
   std::int64_t read_ns_ = 0;  ///< when subscriptions were last read
   std::uint64_t next_order_ = 1;
-  std::map<std::string, std::uint64_t> sequences_;
+  std::map<std::string, std::uint64_t, std::less<>> sequences_;  ///< by topic
   LatchStore latched_;
   std::deque<Pending> pending_;
   std::size_t pending_bytes_ = 0;

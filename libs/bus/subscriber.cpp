@@ -6,6 +6,8 @@
 #include <algorithm>
 #include <deque>
 #include <map>
+#include <optional>
+#include <string_view>
 #include <tuple>
 #include <utility>
 
@@ -26,6 +28,16 @@ std::string latch_key_of(const wire::Header& header) {
   return header.latch_key() == nullptr ? std::string() : header.latch_key()->str();
 }
 
+/// Of a source and a topic, found by views of them.
+struct StreamLess {
+  using is_transparent = void;
+  using Names = std::pair<std::string_view, std::string_view>;
+  template <class A, class B>
+  bool operator()(const A& a, const B& b) const {
+    return Names(a.first, a.second) < Names(b.first, b.second);
+  }
+};
+
 struct Position {
   std::uint64_t epoch = 0;
   std::uint64_t sequence = 0;
@@ -39,7 +51,7 @@ struct Subscriber::Impl {
   zmq::socket_t socket;
   std::vector<std::string> exact;
   std::vector<std::string> prefixes;
-  std::map<std::pair<std::string, std::string>, Position> positions;              // source, topic
+  std::map<std::pair<std::string, std::string>, Position, StreamLess> positions;  // source, topic
   std::map<std::tuple<std::string, std::string, std::string>, Position> latched;  // source, topic, latch key
   std::deque<std::shared_ptr<Message::Content>> early;                            // came during wait_connected()
   std::map<std::string, std::function<void(const Message&)>, std::less<>> handlers;
@@ -85,9 +97,15 @@ struct Subscriber::Impl {
     return false;
   }
 
-  void count_gap(const std::string& topic, const wire::Header& header) {
+  Position& position_of(std::string_view source, std::string_view topic) {
+    const auto found = positions.find(StreamLess::Names(source, topic));
+    if (found != positions.end()) return found->second;
     if (positions.size() >= max_tracked) positions.clear();
-    auto& position = positions[{header.source()->str(), topic}];
+    return positions[{std::string(source), std::string(topic)}];
+  }
+
+  void count_gap(std::string_view topic, const wire::Header& header) {
+    Position& position = position_of(header.source()->string_view(), topic);
     if (position.epoch != header.epoch()) position = {header.epoch(), 0, false};
     const bool live = !header.resent();
     if (live && position.live && header.sequence() > position.sequence + 1) {
@@ -144,7 +162,7 @@ struct Subscriber::Impl {
   }
 
   // The next message that is there and concerns the caller.
-  std::shared_ptr<Message::Content> take(const wire::Header*& header) {
+  std::shared_ptr<Message::Content> take(const wire::Header*& header, std::string& topic) {
     while (auto content = next_complete()) {
       if (!wanted(content->frames.topic_text())) continue;
       std::string why;
@@ -153,7 +171,7 @@ struct Subscriber::Impl {
         refuse(content->frames, why);
         continue;
       }
-      const std::string topic = content->frames.topic.to_string();
+      topic = content->frames.topic_text();
       if (seen_before(topic, *header)) continue;
       count_gap(topic, *header);
       return content;
@@ -173,16 +191,17 @@ bool Subscriber::wait_connected(std::chrono::milliseconds timeout) {
 }
 
 std::optional<Message> Subscriber::receive(std::chrono::milliseconds timeout) {
-  const std::int64_t deadline = now_ns() + std::chrono::nanoseconds(timeout).count();
+  std::optional<std::int64_t> deadline;
   while (true) {
     Message message;
-    message.content_ = impl_->take(message.header_);
+    message.content_ = impl_->take(message.header_, message.topic_);
     if (message.content_ != nullptr) {
-      message.topic_ = message.content_->frames.topic.to_string();
       message.context_ = impl_->context;
       return message;
     }
-    if (!impl_->wait_readable(deadline)) return std::nullopt;
+    if (timeout.count() <= 0) return std::nullopt;
+    if (!deadline) deadline = now_ns() + std::chrono::nanoseconds(timeout).count();
+    if (!impl_->wait_readable(*deadline)) return std::nullopt;
   }
 }
 

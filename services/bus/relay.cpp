@@ -45,6 +45,12 @@ Relay::Relay(const BrokerOptions& options, FindSlab find_slab, std::function<std
   const std::uint8_t everything = 1;
   local_.xsub.send(zmq::buffer(&everything, 1));
   remote_.xsub.send(zmq::buffer(&everything, 1));
+  waits_.add(wake_.get());
+  waits_.add(remote_readers_.ready_fd());
+  for (Side* side : {&local_, &remote_}) {
+    side->xsub_wait = waits_.add(side->xsub);
+    side->xpub_wait = waits_.add(side->xpub);
+  }
   thread_ = std::jthread([this](const std::stop_token& stop) { run(stop); });
 }
 
@@ -68,22 +74,12 @@ BrokerStatistics Relay::statistics() const {
 
 void Relay::run(const std::stop_token& stop) {
   while (!stop.stop_requested()) {
-    zmq_pollitem_t items[] = {
-        {nullptr, wake_.get(), ZMQ_POLLIN, 0},     {local_.xsub.handle(), 0, ZMQ_POLLIN, 0},
-        {local_.xpub.handle(), 0, ZMQ_POLLIN, 0},  {remote_.xsub.handle(), 0, ZMQ_POLLIN, 0},
-        {remote_.xpub.handle(), 0, ZMQ_POLLIN, 0}, {nullptr, remote_readers_.ready_fd(), ZMQ_POLLIN, 0}};
     std::int64_t left_ms = std::max<std::int64_t>(0, (next_beat_ns_ - bus::now_ns()) / 1'000'000 + 1);
     if (remote_readers_.has_due()) left_ms = std::min(left_ms, due_check_ms);
-    zmq_poll(items, std::size(items), static_cast<long>(left_ms));
-    // To ask a socket that has nothing takes system calls.
-    const auto is_readable = [&](const zmq::socket_t& socket) {
-      return std::ranges::any_of(items, [&](const zmq_pollitem_t& item) {
-        return item.socket == socket.handle() && (item.revents & ZMQ_POLLIN) != 0;
-      });
-    };
+    waits_.wait(static_cast<int>(left_ms));
     for (Side* side : {&local_, &remote_}) {
-      if (is_readable(side->xpub)) read_subscriptions(*side);
-      if (is_readable(side->xsub)) relay_from(*side);
+      if (waits_.readable(side->xpub_wait)) read_subscriptions(*side);
+      if (waits_.readable(side->xsub_wait)) relay_from(*side);
     }
     resend_due();
     send_inlined();
@@ -105,6 +101,7 @@ void Relay::relay_from(Side& side) {
       take(frames, side.local);
     }
   }
+  waits_.used(side.xsub_wait);  // there may be more
 }
 
 void Relay::take(bus::Frames& frames, bool local) {
@@ -129,19 +126,20 @@ void Relay::take(bus::Frames& frames, bool local) {
     return refuse(frames, fmt::format("'{}': {}", bus::printable(source), why));
   }
   if (heartbeat) liveness_.note(*flatbuffers::GetRoot<wire::Heartbeat>(frames.body.data()), now, local);
-  relay(frames, *header, local);
+  relay(std::move(frames), *header, now, local);
 }
 
-void Relay::relay(const bus::Frames& frames, const wire::Header& header, bool local) {
+void Relay::relay(bus::Frames frames, const wire::Header& header, std::int64_t now, bool local) {
   if (header.latch() && !hold(frames, header, local)) return;
   ++relayed_;
-  topics_.note(frames.topic_text(), header, frames.body.size(), bus::now_ns(), local);
-  send(local_, frames, header);
+  topics_.note(frames.topic_text(), header, frames.body.size(), now, local);
   send(remote_, frames, header);
+  send(local_, frames, header);
 }
 
-void Relay::relay_own(const bus::Frames& frames) {
-  relay(frames, header_of(frames), true);
+void Relay::relay_own(bus::Frames frames) {
+  const wire::Header& header = header_of(frames);
+  relay(std::move(frames), header, bus::now_ns(), true);
 }
 
 // Whether a latched message says what is known already, or less: publishers repeat theirs when a broker comes back, and
@@ -198,12 +196,13 @@ void Relay::send_inlined() {
       ++overwritten_;
     } else {
       if (done.inlined) ++inlined_;
-      bus::send_frames(remote_.xpub, std::move(done.frames));
+      send_on(remote_, std::move(done.frames));
     }
   }
 }
 
 void Relay::read_subscriptions(Side& side) {
+  waits_.used(side.xpub_wait);  // there may be more
   zmq::message_t event;
   for (int i = 0; i < subscriptions_a_turn && side.xpub.recv(event, zmq::recv_flags::dontwait); ++i) {
     if (!side.local && readers_guard_) readers_guard_->took(event);

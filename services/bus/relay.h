@@ -1,6 +1,7 @@
 #pragma once
 
 #include <atomic>
+#include <cstddef>
 #include <cstdint>
 #include <functional>
 #include <memory>
@@ -24,6 +25,7 @@
 #include "bus/own_messages.h"
 #include "bus/remote_readers.h"
 #include "bus/remote_subscriptions.h"
+#include "bus/socket_waits.h"
 #include "bus/sources.h"
 
 namespace splatbus::bus_service {
@@ -47,6 +49,7 @@ class Relay {
     bool local;
     zmq::socket_t xsub;
     zmq::socket_t xpub;
+    std::size_t xsub_wait = 0, xpub_wait = 0;                ///< in waits_
     std::set<std::pair<std::string, std::string>> missed{};  ///< topics and keys of what is held and was left out
   };
   // relay_sockets.cpp
@@ -58,8 +61,8 @@ class Relay {
   void relay_from(Side& side);
   /// What a peer sent: refused, or relayed.
   void take(bus::Frames& frames, bool local);
-  void relay(const bus::Frames& frames, const wire::Header& header, bool local);
-  void relay_own(const bus::Frames& frames);
+  void relay(bus::Frames frames, const wire::Header& header, std::int64_t now, bool local);
+  void relay_own(bus::Frames frames);
   bool hold(const bus::Frames& frames, const wire::Header& header, bool local);
   bool is_stale(const wire::Header& header, const bus::LatchStore::Held& held, bool local) const;
   void send_inlined();
@@ -74,6 +77,7 @@ class Relay {
   void send(Side& side, const bus::Frames& frames, const wire::Header& header);
   /// False: there is no room for it.
   bool send_now(Side& side, const bus::Frames& frames, const wire::Header& header);
+  void send_on(Side& side, bus::Frames frames);
   void resend_missed(Side& side);
   void make_room(std::int64_t now);
 
@@ -106,6 +110,7 @@ class Relay {
   std::atomic<std::uint64_t> unheld_ = 0;
   std::atomic<std::uint64_t> held_count_ = 0;
   bus::FileDescriptor wake_;
+  SocketWaits waits_;
   std::jthread thread_;
 };
 

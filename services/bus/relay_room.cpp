@@ -26,7 +26,7 @@ bool Relay::send_now(Side& side, const bus::Frames& frames, const wire::Header& 
   if (!side.local) {
     if (!subscriptions_.wants(frames.topic_text())) return true;
     auto offered = remote_readers_.offer(frames, header);
-    if (offered.now) bus::send_frames(side.xpub, std::move(*offered.now));
+    if (offered.now) send_on(side, std::move(*offered.now));
     return !offered.left_out;
   }
   // What comes over tcp has its bulk data in it, and a reader that is stopped lets thousands of messages wait.
@@ -34,8 +34,13 @@ bool Relay::send_now(Side& side, const bus::Frames& frames, const wire::Header& 
     full_here_lately_ = true;
     return false;
   }
-  bus::send_frames(side.xpub, unsent_here_.share(frames));
+  send_on(side, unsent_here_.share(frames));
   return true;
+}
+
+void Relay::send_on(Side& side, bus::Frames frames) {
+  bus::send_frames(side.xpub, std::move(frames));
+  waits_.used(side.xpub_wait);
 }
 
 void Relay::resend_missed(Side& side) {

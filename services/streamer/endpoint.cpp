@@ -12,6 +12,7 @@
 #include <utility>
 
 #include "bus/bind.h"
+#include "bus/connection_watch.h"
 #include "bus/error.h"
 #include "bus/private_folder.h"
 #include "bus/schemes.h"
@@ -25,8 +26,6 @@ namespace {
 
 constexpr int kMessagesACall = 256;   // that are none, before others get their turn
 constexpr std::size_t kMaxParts = 4;  // a relay's frames of rights and client, packet, payload
-constexpr int kHeartbeatMs = 1000;
-constexpr int kHeartbeatTimeoutMs = 5000;
 constexpr int kHandshakeMs = 5000;
 constexpr int kBacklog = 1024;
 // Of one tcp connection. A pose has about 200 bytes, and the largest that a viewer says kMaxFrameBytes.
@@ -62,8 +61,7 @@ Endpoint::Endpoint(const std::vector<std::string>& endpoints, const EndpointOpti
   socket_.set(zmq::sockopt::maxmsgsize, kMaxFrameBytes);
   socket_.set(zmq::sockopt::handshake_ivl, kHandshakeMs);
   socket_.set(zmq::sockopt::backlog, kBacklog);  // a crowd at the door keeps nobody waiting
-  socket_.set(zmq::sockopt::heartbeat_ivl, kHeartbeatMs);
-  socket_.set(zmq::sockopt::heartbeat_timeout, kHeartbeatTimeoutMs);
+  bus::watch_connections(socket_);
   guard_.emplace(context_, socket_,
                  bus::ConnectionLimits{.unread_bytes = kUnreadBytes,
                                        .all_unread_bytes = 8 * kUnreadBytes,

@@ -3,6 +3,7 @@
 #include <cerrno>
 #include <zmq.hpp>
 
+#include "bus/connection_watch.h"
 #include "bus/curve.h"
 #include "bus/error.h"
 #include "bus/private_folder.h"
@@ -34,8 +35,7 @@ class ZmqLink final : public PacketLink {
     // In an outage tcp repeats a connection's first segment ever more seldom; a new try each second is there sooner.
     socket_.set(zmq::sockopt::connect_timeout, kConnectMs);
     socket_.set(zmq::sockopt::handshake_ivl, kHandshakeMs);
-    socket_.set(zmq::sockopt::heartbeat_ivl, 1000);
-    socket_.set(zmq::sockopt::heartbeat_timeout, 5000);
+    bus::watch_connections(socket_);
     socket_.set(zmq::sockopt::maxmsgsize, static_cast<std::int64_t>(stream::kMaxPayloadBytes));
     bus::require_transport(endpoint);
     bus::require_own_endpoint(endpoint);

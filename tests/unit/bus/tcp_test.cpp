@@ -173,5 +173,20 @@ TEST_F(Tcp, ABrokerStopsAtOnce) {
   EXPECT_LT(quickest, 50ms);
 }
 
+// One that is busy for long, while more comes than waits for it: libzmq ended the process.
+TEST_F(Tcp, AReaderGoesOnAfterItReadNothingForLong) {
+  NumberPublisher publisher(connect("maker"), "viewer/probe");
+  bus::Subscriber remote(connect_tcp("remote"), {"viewer/probe"});
+  meet(publisher, remote);
+  for (int number = 1; number <= 2000; ++number) publish_number(publisher, number, false, "", {});
+  std::this_thread::sleep_for(8s);  // longer than a connection may be silent
+  // Of what waited some may be lost.
+  EXPECT_TRUE(eventually([&] {
+    publish_number(publisher, 3000, false, "", {});
+    const auto message = remote.receive(100ms);
+    return message && number_of(*message) == 3000;
+  }));
+}
+
 }  // namespace
 }  // namespace splatbus::bus_test

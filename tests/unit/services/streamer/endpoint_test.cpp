@@ -6,6 +6,8 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <chrono>
+#include <thread>
 
 #include "../../bus/bus_fixture.h"
 #include "bus/error.h"
@@ -72,6 +74,20 @@ TEST_F(EndpointTest, AMessageOfManyPartsIsRefusedWholeAndSpeaksForNobodyElse) {
   ASSERT_EQ(received.size(), 1U) << received.front().peer << " is said to have sent a part of another's message";
   EXPECT_EQ(received.front().peer, "hostile");
   EXPECT_EQ(endpoint_.malformed(), 3U);
+}
+
+// A streamer that is busy for a while: libzmq ended the process.
+TEST_F(EndpointTest, OneThatSaidMoreThanWaitsAndLeftIsSurvivedThoughNobodyReadForLong) {
+  {
+    zmq::socket_t hasty = connect("hasty");
+    // More is refused where its connection is closed for that.
+    for (int k = 0; k < 2000; ++k) (void)hasty.send(zmq::buffer(bye()), zmq::send_flags::dontwait);
+    std::this_thread::sleep_for(std::chrono::milliseconds(300));
+  }
+  std::this_thread::sleep_for(std::chrono::seconds(3));
+  zmq::socket_t viewer = connect("viewer");
+  send(viewer, {hello()});
+  EXPECT_EQ(receive_to_hello().back().peer, "viewer");
 }
 
 TEST_F(EndpointTest, PacketAndPayloadArriveTogether) {
