@@ -24,7 +24,8 @@ namespace {
 constexpr std::int64_t kLongestWaitNs = 100'000'000;
 // A viewer gives a try to connect up after a second, and begins another one half a second later at most.
 constexpr std::int64_t kTryNs = 1'500'000'000;
-constexpr int kBufferBytes = 1 << 16;  // what waits for a slow link waits at its sender
+constexpr std::int64_t kGoneNs = 5'000'000'000;  // of bus::watch_connections(): both ends give up in a longer cut
+constexpr int kBufferBytes = 1 << 16;            // what waits for a slow link waits at its sender
 
 bus::FileDescriptor make_socket() {
   bus::FileDescriptor made(::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0));
@@ -102,6 +103,9 @@ void TcpRelay::run(const std::stop_token& stop) {
         connection->up.schedule.cut(cut_);
         connection->down.schedule.cut(cut_);
       }
+      const bool is_long = cut_.contains(now_ns) && now_ns - cut_.from_ns >= kGoneNs;
+      std::erase_if(connections_,
+                    [&](const auto& connection) { return is_long && connection->open_ns < cut_.from_ns; });
       cut_is_new_ = false;
       cut_known_.notify_all();
     }

@@ -187,7 +187,7 @@ void run(const Flags& flags) {
     print_walk(flags.seed);
     return;
   }
-  // Beside each other: either takes a few tenths of a second, and of a busy machine two threads have more than one.
+  // Beside each other: either takes a few tenths of a second, and two threads get more of a busy machine than one.
   std::future<Scene> making = std::async(std::launch::async, make_scene, std::cref(flags));
   const auto context = make_context(flags.snapshot.empty() ? flags.backend : "cpu");
   Scene scene = making.get();

@@ -15,7 +15,7 @@ int wrapped(int cell, int period) {
   return rest < 0 ? rest + period : rest;
 }
 
-/// std::floor of what an int holds, without the call that it is on processors of the baseline.
+/// std::floor for values that fit an int; on baseline processors that is a library call.
 int floored(float value) {
   const int whole = static_cast<int>(value);
   return static_cast<float>(whole) > value ? whole - 1 : whole;

@@ -51,6 +51,7 @@ class Planks {
     }
   }
 
+  /// Both in [0, 1).
   [[nodiscard]] glm::vec3 at(float u, float v) const {
     const float row_position = v * kRows;
     const auto row = static_cast<std::uint32_t>(row_position);

@@ -18,7 +18,7 @@ GlTexture upload(const std::vector<const Image*>& layers, bool repeat, float ani
   const auto levels = static_cast<GLsizei>(std::bit_width(std::max(first.width, first.height)));
   const auto width = static_cast<GLsizei>(first.width);
   const auto height = static_cast<GLsizei>(first.height);
-  // A driver of software compiles programs for them, which takes longer than all that the processor has to do.
+  // A software driver compiles shaders to make mipmaps, which takes longer than making them here.
   const bool whole = has_whole_mipmaps(first);
   glTextureStorage3D(texture.get(), levels, GL_SRGB8_ALPHA8, width, height, static_cast<GLsizei>(layers.size()));
   GLint layer = 0;

@@ -126,20 +126,19 @@ void Relay::take(bus::Frames& frames, bool local) {
     return refuse(frames, fmt::format("'{}': {}", bus::printable(source), why));
   }
   if (heartbeat) liveness_.note(*flatbuffers::GetRoot<wire::Heartbeat>(frames.body.data()), now, local);
-  relay(std::move(frames), *header, now, local);
+  relay(frames, *header, now, local);
 }
 
-void Relay::relay(bus::Frames frames, const wire::Header& header, std::int64_t now, bool local) {
+void Relay::relay(const bus::Frames& frames, const wire::Header& header, std::int64_t now, bool local) {
   if (header.latch() && !hold(frames, header, local)) return;
   ++relayed_;
   topics_.note(frames.topic_text(), header, frames.body.size(), now, local);
-  send(remote_, frames, header);
   send(local_, frames, header);
+  send(remote_, frames, header);
 }
 
-void Relay::relay_own(bus::Frames frames) {
-  const wire::Header& header = header_of(frames);
-  relay(std::move(frames), header, bus::now_ns(), true);
+void Relay::relay_own(const bus::Frames& frames) {
+  relay(frames, header_of(frames), bus::now_ns(), true);
 }
 
 // Whether a latched message says what is known already, or less: publishers repeat theirs when a broker comes back, and

@@ -61,8 +61,8 @@ class Relay {
   void relay_from(Side& side);
   /// What a peer sent: refused, or relayed.
   void take(bus::Frames& frames, bool local);
-  void relay(bus::Frames frames, const wire::Header& header, std::int64_t now, bool local);
-  void relay_own(bus::Frames frames);
+  void relay(const bus::Frames& frames, const wire::Header& header, std::int64_t now, bool local);
+  void relay_own(const bus::Frames& frames);
   bool hold(const bus::Frames& frames, const wire::Header& header, bool local);
   bool is_stale(const wire::Header& header, const bus::LatchStore::Held& held, bool local) const;
   void send_inlined();

@@ -13,6 +13,7 @@ namespace splatbus::bus_service {
 namespace {
 
 constexpr int port_attempts = 50;
+constexpr int remote_unread_messages = 65536;
 constexpr int handshake_ms = 5000;
 constexpr int backlog = 1024;  // a crowd at the door keeps nobody waiting
 constexpr std::size_t max_first_bytes = std::size_t{32} << 20;
@@ -62,6 +63,11 @@ void Relay::guard_tcp(const BrokerOptions& options) {
     bus::require_keys(remote_.xpub, *keys, {.view = true});
   }
   const auto bytes = static_cast<std::int64_t>(options.max_remote_bytes);
+  // No connection is left unread, or a PING behind what waits and a reset would end the process (decision 0146): what
+  // waits is bounded by the guards. Of writers, who may publish, it is a number: small messages take more than their
+  // bytes.
+  remote_.xpub.set(zmq::sockopt::rcvhwm, 0);
+  remote_.xsub.set(zmq::sockopt::rcvhwm, remote_unread_messages);
   remote_.xsub.set(zmq::sockopt::maxmsgsize, bytes);
   remote_.xpub.set(zmq::sockopt::maxmsgsize, max_subscription_bytes);
   writers_guard_.emplace(

@@ -10,7 +10,8 @@ namespace splatbus::bus_service {
 
 /// Waits until one of several ZeroMQ sockets and descriptors can be read, by one system call where zmq_poll() takes two
 /// a socket and one. ZMQ_FD is edge-triggered: what was heard while something else was done with a socket is not said
-/// again. So say used() of each that was sent to, or not read until there was nothing left. One thread, the sockets'.
+/// again. So say used() of each that was sent to, bound or asked for an option, or not read until there was nothing
+/// left. One thread, the sockets'.
 class SocketWaits {
  public:
   /// Either returns its index. A socket outlives this.

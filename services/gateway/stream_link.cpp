@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include "bus/connection_watch.h"
 #include "bus/curve.h"
 #include "bus/error.h"
 #include "bus/private_folder.h"
@@ -16,6 +17,7 @@ namespace {
 constexpr int kQueuedFromStreamer = 8;
 constexpr int kQueuedToStreamer = 64;
 constexpr int kGoodbyeMs = 100;
+constexpr int kConnectMs = 1000;
 constexpr std::int64_t kMaxFrameBytes = std::int64_t{32} << 20;
 
 }  // namespace
@@ -26,8 +28,11 @@ StreamLink::StreamLink(zmq::context_t& context, const std::string& endpoint, std
   socket_.set(zmq::sockopt::sndhwm, kQueuedToStreamer);
   socket_.set(zmq::sockopt::linger, 0);
   // Not ZMQ_IMMEDIATE: a connection that ends between two frames of a message would end the process (libzmq's fq.cpp).
-  // And no slower with time: a streamer that died is back within half a second, and is to be found at once.
+  // Hardly slower with time: a streamer that died is back within half a second, and is to be found at once.
   socket_.set(zmq::sockopt::reconnect_ivl, 50);
+  socket_.set(zmq::sockopt::reconnect_ivl_max, 200);
+  socket_.set(zmq::sockopt::connect_timeout, kConnectMs);
+  bus::watch_connections(socket_);
   socket_.set(zmq::sockopt::maxmsgsize, kMaxFrameBytes);
   if (endpoint.empty()) return;
   bus::require_transport(endpoint);

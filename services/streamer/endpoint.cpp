@@ -26,6 +26,7 @@ namespace {
 
 constexpr int kMessagesACall = 256;   // that are none, before others get their turn
 constexpr std::size_t kMaxParts = 4;  // a relay's frames of rights and client, packet, payload
+constexpr int kQueuedFromViewer = 256;
 constexpr int kHandshakeMs = 5000;
 constexpr int kBacklog = 1024;
 // Of one tcp connection. A pose has about 200 bytes, and the largest that a viewer says kMaxFrameBytes.
@@ -56,7 +57,6 @@ Endpoint::Endpoint(const std::vector<std::string>& endpoints, const EndpointOpti
     : socket_(context_, zmq::socket_type::router), bound_(endpoints.size()) {
   socket_.set(zmq::sockopt::router_mandatory, true);
   socket_.set(zmq::sockopt::sndhwm, kQueuedPackets);
-  socket_.set(zmq::sockopt::rcvhwm, 256);
   socket_.set(zmq::sockopt::linger, 0);
   socket_.set(zmq::sockopt::maxmsgsize, kMaxFrameBytes);
   socket_.set(zmq::sockopt::handshake_ivl, kHandshakeMs);
@@ -90,7 +90,11 @@ Endpoint::Endpoint(const std::vector<std::string>& endpoints, const EndpointOpti
 }
 
 std::string Endpoint::bind(const std::string& endpoint) {
-  if (endpoint.starts_with(bus::ipc_scheme)) {
+  // A connection over tcp is never left unread, or a PING behind what waits and a reset would end the process (decision
+  // 0146): what waits is bounded by the guard.
+  const bool is_ipc = endpoint.starts_with(bus::ipc_scheme);
+  socket_.set(zmq::sockopt::rcvhwm, is_ipc ? kQueuedFromViewer : 0);
+  if (is_ipc) {
     const std::string path = endpoint.substr(bus::ipc_scheme.size());
     bus::require_own_endpoint(endpoint, bus::EndpointUse::Bind);
     const ::uid_t user = ::geteuid();

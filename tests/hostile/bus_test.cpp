@@ -138,6 +138,22 @@ TEST_F(HostileBus, SubscriptionsWithoutEndAreEnded) {
   EXPECT_TRUE(other.closed_within(2s));
 }
 
+// As of the streamer's endpoint.
+TEST_F(HostileBus, APingBehindManyMessagesAndAResetEndNothing) {
+  for (int round = 0; round < 30; ++round) {
+    RawZmtp reader(readers()), writer(writers());
+    ASSERT_TRUE(reader.handshake("SUB"));
+    ASSERT_TRUE(writer.handshake("PUB"));
+    send_messages_and_pings(reader, "\x01a");
+    send_messages_and_pings(writer, "x");
+    reader.reset();
+    writer.reset();
+  }
+  NumberPublisher publisher(connect("engine"), "viewer/probe");
+  bus::Subscriber far(connect_tcp("far"), {"viewer/probe"});
+  meet(publisher, far);
+}
+
 TEST_F(HostileBus, AReaderThatReadsNothingCostsABoundedQueue) {
   broker_.reset();
   auto bounded = options();

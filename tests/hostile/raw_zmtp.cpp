@@ -111,6 +111,12 @@ bool RawZmtp::send_bytes(const std::string& bytes) {
   return true;
 }
 
+void RawZmtp::reset() {
+  const linger none{1, 0};
+  ::setsockopt(socket_.get(), SOL_SOCKET, SO_LINGER, &none, sizeof(none));
+  socket_ = bus::FileDescriptor();
+}
+
 bool RawZmtp::closed_within(std::chrono::milliseconds timeout) {
   const auto deadline = std::chrono::steady_clock::now() + timeout;
   while (true) {
@@ -140,6 +146,14 @@ bool RawZmtp::read_exactly(std::size_t bytes, std::string& into) {
     into += part;
   }
   return true;
+}
+
+void send_messages_and_pings(RawZmtp& raw, const std::string& message) {
+  std::string bytes;
+  for (int i = 0; i < 1000; ++i) bytes += frame_head(0, message.size()) + message;
+  const std::string ping = std::string("\x04PING") + std::string(2, '\0');
+  for (int i = 0; i < 200; ++i) bytes += frame_head(kCommand, ping.size()) + ping;
+  raw.send_bytes(bytes);
 }
 
 }  // namespace splatbus::hostile

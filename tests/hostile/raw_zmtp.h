@@ -28,6 +28,8 @@ class RawZmtp {
   bool send_frame_head(std::uint64_t bytes, bool more);
   bool send_bytes(const std::string& bytes);
 
+  /// Closes, and has the peer told by a reset.
+  void reset();
   /// Reads and forgets until the peer has closed or `timeout` is over; whether it closed.
   bool closed_within(std::chrono::milliseconds timeout);
   /// Reads up to `bytes`, and waits for the first of them; empty when the peer closed or nothing came.
@@ -40,5 +42,8 @@ class RawZmtp {
 
   bus::FileDescriptor socket_;
 };
+
+/// More messages than may wait, and pings behind them, in one piece.
+void send_messages_and_pings(RawZmtp& raw, const std::string& message);
 
 }  // namespace splatbus::hostile

@@ -11,7 +11,7 @@ const { SPLATBUS_WEB: site, SPLATBUS_WEB_TESTS: pages, SPLATBUS_BIN: bin } = pro
 const say = (what, value) => console.log(`${what}: ${value}`);
 const middle = (values) => values.sort((a, b) => a - b)[values.length >> 1];
 
-/** When a page has what the service that was killed gives, and all of the model; `then` are its figures from before. */
+/** When a page has what the service that was killed gives, and all of the model; `then`: the stream before, and the scene just after. */
 const kBack = {
   gateway: (then) => window.wasAway && window.splatbus.connection === 'open' && window.splatbus.figures.missing === 0 && window.splatbus.figures.sceneVersion > then.sceneVersion,
   streamer: (then) => window.splatbus.figures.epoch !== then.epoch && window.splatbus.figures.missing === 0,
@@ -29,11 +29,12 @@ async function sayOutage(pipeline, source, isBack) {
     setInterval(() => (window.wasAway ||= window.splatbus.connection !== 'open'), 10);
   });
   const whole = (await page.screenshot()).length;
+  const { epoch } = await page.evaluate(() => window.splatbus.figures);
   const lives = await pipeline.kill(source);
   const start = performance.now();
   // Of what is on its way from the one that was killed nothing counts.
   await new Promise((resolve) => setTimeout(resolve, 100));
-  const before = await page.evaluate(() => window.splatbus.figures);
+  const before = { epoch, sceneVersion: await page.evaluate(() => window.splatbus.figures.sceneVersion) };
   const seconds = () => ((performance.now() - start) / 1000).toFixed(1);
   let backAfter = null;
   const back = lives().then(async () => {

@@ -1,6 +1,11 @@
+#include <netinet/in.h>
+#include <netinet/tcp.h>
+#include <sys/socket.h>
+
 #include <map>
 #include <utility>
 
+#include "bus/connection_watch.h"
 #include "bus/error.h"
 #include "bus_fixture.h"
 #include "fake_broker.h"
@@ -173,7 +178,7 @@ TEST_F(Tcp, ABrokerStopsAtOnce) {
   EXPECT_LT(quickest, 50ms);
 }
 
-// One that is busy for long, while more comes than waits for it: libzmq ended the process.
+// A reader that is busy while more arrives than its queue holds: libzmq ended the process.
 TEST_F(Tcp, AReaderGoesOnAfterItReadNothingForLong) {
   NumberPublisher publisher(connect("maker"), "viewer/probe");
   bus::Subscriber remote(connect_tcp("remote"), {"viewer/probe"});
@@ -186,6 +191,29 @@ TEST_F(Tcp, AReaderGoesOnAfterItReadNothingForLong) {
     const auto message = remote.receive(100ms);
     return message && number_of(*message) == 3000;
   }));
+}
+
+TEST(ConnectionWatch, HasTcpLookForThePeerAtBothEnds) {
+  zmq::context_t context;
+  zmq::socket_t server(context, zmq::socket_type::pair), client(context, zmq::socket_type::pair);
+  for (zmq::socket_t* socket : {&server, &client}) {
+    socket->set(zmq::sockopt::linger, 0);
+    bus::watch_connections(*socket);
+  }
+  server.bind("tcp://127.0.0.1:*");
+  client.connect(server.get(zmq::sockopt::last_endpoint));
+  for (const auto& [from, to] : {std::pair(&server, &client), {&client, &server}}) {
+    from->send(zmq::str_buffer("x"));
+    zmq::message_t message;
+    ASSERT_TRUE(to->recv(message));
+    const int descriptor = message.get(ZMQ_SRCFD);
+    int keeps_alive = 0, gone_ms = 0;
+    socklen_t size = sizeof(int);
+    ASSERT_EQ(::getsockopt(descriptor, SOL_SOCKET, SO_KEEPALIVE, &keeps_alive, &size), 0);
+    ASSERT_EQ(::getsockopt(descriptor, IPPROTO_TCP, TCP_USER_TIMEOUT, &gone_ms, &size), 0);
+    EXPECT_EQ(keeps_alive, 1);
+    EXPECT_EQ(gone_ms, 5000);
+  }
 }
 
 }  // namespace
