@@ -62,7 +62,7 @@ struct Readers {
   }
   const std::int64_t begin_ns = bus::now_ns();
   std::int64_t greeted_ns = 0;
-  while ((items[0].revents & ZMQ_POLLIN) == 0) {
+  while (items[0].revents == 0) {  // its other end is closed, not written to
     const std::int64_t now_ns = bus::now_ns();
     const bool greets = now_ns - greeted_ns > 200'000'000;  // strangers are answered so many times a second
     if (greets) greeted_ns = now_ns;

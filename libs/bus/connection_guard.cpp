@@ -177,6 +177,7 @@ void ConnectionGuard::begin(int fd) {
 }
 
 std::uint64_t ConnectionGuard::sweep(std::int64_t now) {
+  const bool drained = drained_.exchange(false);
   const bool check_keys = allowed_ && now >= next_key_check_ns_;
   if (check_keys) next_key_check_ns_ = now + second;
   Unread unread, before_first;
@@ -187,7 +188,7 @@ std::uint64_t ConnectionGuard::sweep(std::int64_t now) {
       continue;
     }
     std::string why;
-    if (!look(fd, connection, now, why)) {
+    if (!look(fd, connection, drained, now, why)) {
       shut(fd, connection, why);
     } else if (check_keys && !connection.key.empty() && !allowed_(connection.key)) {
       shut(fd, connection, "its key is not allowed any more");
@@ -206,22 +207,22 @@ std::uint64_t ConnectionGuard::sweep(std::int64_t now) {
   return unread.largest;
 }
 
-bool ConnectionGuard::look(int fd, Connection& connection, std::int64_t now, std::string& why) {
+bool ConnectionGuard::look(int fd, Connection& connection, bool drained, std::int64_t now, std::string& why) {
   if (connection.closing) return true;
   tcp_info info{};
   socklen_t size = sizeof(info);
   if (::getsockopt(fd, IPPROTO_TCP, TCP_INFO, &info, &size) != 0) return true;
   const std::uint64_t before = std::exchange(connection.received, info.tcpi_bytes_received);
-  if (std::exchange(connection.taken_lately, false)) {
-    // What came before the last look is in that message, or in the short queue behind it.
+  if (connection.taken_lately) connection.heard_ns = now;
+  if (drained && std::exchange(connection.taken_lately, false)) {
+    // What came before the last look is in that message, or was in the queue behind it.
     connection.read = before;
-    connection.heard_ns = now;
   }
   const std::uint64_t unread = connection.received - connection.read;
   const std::size_t limit =
       connection.taken || limits_.first_unread_bytes == 0 ? limits_.unread_bytes : limits_.first_unread_bytes;
   if (limit != 0 && unread > limit) {
-    why = fmt::format("{} bytes of a message without an end", unread);
+    why = fmt::format("{} bytes of a message without an end, or of more than is read", unread);
   } else if (limits_.bytes_per_s > 0 && connection.received > before &&
              !connection.bytes.take(static_cast<double>(connection.received - before), now)) {
     why = fmt::format("more than {} bytes a second", limits_.bytes_per_s);

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <atomic>
 #include <cstddef>
 #include <cstdint>
 #include <functional>
@@ -21,7 +22,7 @@ namespace splatbus::bus {
 struct ConnectionLimits {
   std::size_t connections = 1024;          ///< fewer where the process may not have that many descriptors
   std::size_t of_one_address = 256;        ///< connections
-  std::size_t unread_bytes = 0;            ///< received, and no message of it was taken yet
+  std::size_t unread_bytes = 0;            ///< received, and not taken yet
   std::size_t first_unread_bytes = 0;      ///< the same before its first message
   std::size_t all_unread_bytes = 0;        ///< of all connections; the largest goes
   std::size_t all_first_unread_bytes = 0;  ///< of all that had no message taken
@@ -50,6 +51,9 @@ class ConnectionGuard {
 
   /// A whole message was taken from the socket; `frame` is any of its frames.
   void took(const zmq::message_t& frame);
+
+  /// Nothing was left to take. Until then what has come counts as unread, whosever messages are taken.
+  void drained() { drained_ = true; }
 
   /// Shuts down the connection that a message came by.
   void close(const zmq::message_t& frame, const std::string& why);
@@ -83,7 +87,7 @@ class ConnectionGuard {
   void begin(int fd);
   /// Looks at all of them. Returns the bytes that came, and were not taken, by the one of which there are the most.
   std::uint64_t sweep(std::int64_t now);
-  bool look(int fd, Connection& connection, std::int64_t now, std::string& why);
+  bool look(int fd, Connection& connection, bool drained, std::int64_t now, std::string& why);
   void look_at_sent(Connection& connection, std::uint64_t acked, bool behind, std::int64_t now, std::string& why) const;
   [[nodiscard]] std::string holds_too_much(const Connection& connection, std::int64_t now) const;
   void shut(int fd, Connection& connection, const std::string& why);
@@ -93,6 +97,7 @@ class ConnectionGuard {
   mutable std::mutex mutex_;
   std::map<int, Connection> connections_;
   std::function<bool(const std::string&)> allowed_;
+  std::atomic<bool> drained_ = false;
   std::int64_t next_key_check_ns_ = 0;
   Counts counts_;
   LogLimiter limiter_;

@@ -93,7 +93,10 @@ void Relay::relay_from(Side& side) {
     bus::Frames frames;
     std::string why;
     const auto result = bus::receive_frames(side.xsub, frames, why);
-    if (result == bus::RecvResult::Nothing) return;
+    if (result == bus::RecvResult::Nothing) {
+      if (!side.local && writers_guard_) writers_guard_->drained();
+      return;
+    }
     if (!side.local && writers_guard_) writers_guard_->took(frames.topic);
     if (result == bus::RecvResult::Malformed) {
       refuse(frames, why);
@@ -203,9 +206,18 @@ void Relay::send_inlined() {
 void Relay::read_subscriptions(Side& side) {
   waits_.used(side.xpub_wait);  // there may be more
   zmq::message_t event;
-  for (int i = 0; i < subscriptions_a_turn && side.xpub.recv(event, zmq::recv_flags::dontwait); ++i) {
+  for (int i = 0; i < subscriptions_a_turn; ++i) {
+    if (!side.xpub.recv(event, zmq::recv_flags::dontwait)) {
+      if (!side.local && readers_guard_) readers_guard_->drained();
+      return;
+    }
     if (!side.local && readers_guard_) readers_guard_->took(event);
-    if (event.empty() || event.size() > bus::max_topic_bytes + 1) continue;
+    if (event.size() > bus::max_topic_bytes + 1) {
+      // libzmq keeps it all the same, for as long as the connection is there.
+      if (!side.local && readers_guard_) readers_guard_->close(event, "it subscribes to what is no topic");
+      continue;
+    }
+    if (event.empty()) continue;
     const auto kind = *event.data<std::uint8_t>();
     if (kind > 1) continue;
     const auto prefix = event.to_string().substr(1);

@@ -31,6 +31,7 @@ constexpr int kHandshakeMs = 5000;
 constexpr int kBacklog = 1024;
 // Of one tcp connection. A pose has about 200 bytes, and the largest that a viewer says kMaxFrameBytes.
 constexpr std::size_t kUnreadBytes = std::size_t{1} << 20;
+constexpr std::size_t kFirstUnreadBytes = 2 * Endpoint::kMaxFrameBytes;  // of a Hello, and what is said behind it
 constexpr double kBytesPerSecond = 1 << 20;
 constexpr double kGreetingSeconds = 5;
 constexpr double kMinSentPerSecond = 1000;
@@ -64,6 +65,7 @@ Endpoint::Endpoint(const std::vector<std::string>& endpoints, const EndpointOpti
   bus::watch_connections(socket_);
   guard_.emplace(context_, socket_,
                  bus::ConnectionLimits{.unread_bytes = kUnreadBytes,
+                                       .first_unread_bytes = kFirstUnreadBytes,
                                        .all_unread_bytes = 8 * kUnreadBytes,
                                        .bytes_per_s = kBytesPerSecond,
                                        .burst_bytes = 4 * kBytesPerSecond,
@@ -142,7 +144,11 @@ Endpoint::Sent Endpoint::send(const Peer& peer, const WirePacket& packet, std::u
 
 std::optional<Endpoint::Received> Endpoint::receive() {
   zmq::message_t frame;
-  for (int i = 0; i < kMessagesACall && socket_.recv(frame, zmq::recv_flags::dontwait); ++i) {
+  for (int i = 0; i < kMessagesACall; ++i) {
+    if (!socket_.recv(frame, zmq::recv_flags::dontwait)) {
+      guard_->drained();
+      break;
+    }
     const Peer peer = frame.to_string();
     std::vector<zmq::message_t> parts;
     // To its very last part: what is left behind would be read as the next sender's routing id.

@@ -133,6 +133,25 @@ TEST(HostileEndpoint, APingBehindManyMessagesAndAResetEndNothing) {
   EXPECT_TRUE(is_heard(endpoint, good));
 }
 
+// The streamer is busy: what waits takes memory, though its sender has said a word.
+TEST(HostileEndpoint, WhoSaysMoreThanIsReadIsClosed) {
+  Endpoint endpoint({"tcp://127.0.0.1:*"}, {});
+  RawZmtp raw(endpoint.bound().front());
+  ASSERT_TRUE(raw.handshake("DEALER"));
+  const stream::Bytes word = hello();
+  ASSERT_TRUE(raw.send_frame(std::string(word.begin(), word.end()), false));
+  ASSERT_TRUE(eventually([&] { return endpoint.receive().has_value(); }));
+  const std::size_t before = resident_bytes(::getpid());
+  const std::string many(2000, '\0');  // empty frames
+  std::size_t sent = 0;
+  while (sent < 100 * kMiB && raw.send_bytes(many)) {
+    sent += many.size();
+    (void)endpoint.receive();  // some of it
+  }
+  EXPECT_LT(sent, 100 * kMiB) << "nobody ended it";
+  EXPECT_LT(resident_bytes(::getpid()), before + 512 * kMiB);
+}
+
 TEST(HostileEndpoint, WhoNeverSaysAWordIsClosed) {
   ServedEndpoint endpoint;
   std::vector<RawZmtp> silent;  // one after the handshake, one before it, one before the greeting

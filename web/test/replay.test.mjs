@@ -64,3 +64,10 @@ for (const api of ['webgl2', 'webgpu']) {
     });
   }
 }
+
+test('a wall of screens is a camera, and no number is none', async () => {
+  const page = await browser.newPage();
+  await page.goto(`${server.url}/picture.html`);
+  assert.deepEqual(await page.evaluate((sides) => window.tests.takesSides(sides), [1920, 16_000, 0, 100_000, NaN]), [true, true, false, false, false]);
+  await page.close();
+});

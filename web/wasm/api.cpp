@@ -34,8 +34,11 @@ std::int64_t ns_of(double now_ms) {
   return static_cast<std::int64_t>(now_ms * kNsAMs);
 }
 
+/// Of a wall of screens; what is told of it has kMaxPictureSide at most.
+constexpr std::uint32_t kMaxWindowSide = 1U << 16U;
+
 /// view_from_world, fx, fy, cx, cy, width, height.
-std::optional<Camera> camera_of(const float* pose) {
+std::optional<Camera> camera_of(const float* pose, std::uint32_t max_side) {
   if (!std::all_of(pose, pose + 22, [](float value) { return std::isfinite(value); })) return std::nullopt;
   glm::mat3 view;  // columns by rows
   for (int row = 0; row < 3; ++row) {
@@ -46,7 +49,7 @@ std::optional<Camera> camera_of(const float* pose) {
     if (!(glm::length(error[k]) < kRotationTolerance)) return std::nullopt;
   }
   if (!(glm::determinant(view) > 0)) return std::nullopt;
-  const auto side = [&](int k) { return pose[k] >= 1 && pose[k] <= static_cast<float>(kMaxPictureSide); };
+  const auto side = [&](int k) { return pose[k] >= 1 && pose[k] <= static_cast<float>(max_side); };
   if (!side(20) || !side(21) || !(pose[16] > 0) || !(pose[17] > 0)) return std::nullopt;
   Camera camera;
   camera.fx = pose[16], camera.fy = pose[17], camera.cx = pose[18], camera.cy = pose[19];
@@ -180,14 +183,14 @@ uint32_t farewell(Session* session) {
 }
 
 int32_t set_pose(Session* session, const float* pose) {
-  const auto camera = camera_of(pose);
+  const auto camera = camera_of(pose, kMaxWindowSide);
   if (!camera) return 0;
   session->held->follower.set_camera(*camera);
   return 1;
 }
 
 int32_t ask_picture(Session* session, double probe_id, const float* pose) {
-  const auto camera = camera_of(pose);
+  const auto camera = camera_of(pose, kMaxPictureSide);
   if (!camera) return 0;
   session->held->follower.say(wire::Body::Probe, [&](auto& builder) {
     const wire::Camera wired = to_wire(*camera);

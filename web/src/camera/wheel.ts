@@ -54,7 +54,8 @@ export class Wheel {
 
   #pinch(event: GestureEvent): void {
     event.preventDefault();
-    if (event.scale > 0) this.rig.zoom(this.#scale / event.scale);
+    if (!(event.scale > 0)) return;
+    this.rig.zoom(this.#scale / event.scale);
     this.#scale = event.scale;
   }
 }

@@ -287,6 +287,12 @@ const tests = {
     });
   },
 
+  /** Whether a camera of so many pixels each way is one. */
+  async takesSides(sides: number[]): Promise<boolean[]> {
+    const follower = new Follower(await loadWasm('splatbus.wasm'), 'sides', 1000, 0);
+    return sides.map((side) => follower.setPose(new Float32Array([1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, side, side, side / 2, side / 2, side, side])));
+  },
+
   /** What a recorded model costs the workers of a page: milliseconds of sorts from all around, memory. */
   async million(log: string): Promise<object> {
     const [following, sorting] = [await loadWasm('splatbus.wasm'), await loadWasm('splatbus.wasm')];
