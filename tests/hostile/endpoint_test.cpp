@@ -141,15 +141,14 @@ TEST(HostileEndpoint, WhoSaysMoreThanIsReadIsClosed) {
   const stream::Bytes word = hello();
   ASSERT_TRUE(raw.send_frame(std::string(word.begin(), word.end()), false));
   ASSERT_TRUE(eventually([&] { return endpoint.receive().has_value(); }));
-  const std::size_t before = resident_bytes(::getpid());
-  const std::string many(2000, '\0');  // empty frames
+  const std::string many(32 * 1024, '\0');  // empty frames, each of them 64 bytes in memory
   std::size_t sent = 0;
-  while (sent < 100 * kMiB && raw.send_bytes(many)) {
+  while (sent < 10 * kMiB && raw.send_bytes(many)) {
     sent += many.size();
     (void)endpoint.receive();  // some of it
+    std::this_thread::sleep_for(10ms);
   }
-  EXPECT_LT(sent, 100 * kMiB) << "nobody ended it";
-  EXPECT_LT(resident_bytes(::getpid()), before + 512 * kMiB);
+  EXPECT_LT(sent, 4 * kMiB) << "what was never read was taken for read";
 }
 
 TEST(HostileEndpoint, WhoNeverSaysAWordIsClosed) {
