@@ -32,6 +32,8 @@ struct Pace {
 constexpr Pace calm{10'000'000, 50'000}, hurried{2'000'000, 10'000};
 constexpr std::uint64_t growing_bytes = std::uint64_t{1} << 20;
 constexpr int idle_ms = 100;
+// What a connection that was closed by its peer may have brought since it was looked at.
+constexpr std::uint64_t unseen_bytes = 16384;
 constexpr std::size_t descriptors_for_others = 128;
 
 /// Of a tcp connection's peer; empty for what is none.
@@ -87,7 +89,8 @@ ConnectionGuard::ConnectionGuard(zmq::context_t& context, zmq::socket_t& socket,
   if (!wake_.valid()) throw Error("cannot make an eventfd");
   static std::atomic<std::uint64_t> number = 0;
   const auto endpoint = fmt::format("inproc://splatbus-guard-{}", ++number);
-  if (zmq_socket_monitor(socket.handle(), endpoint.c_str(), ZMQ_EVENT_ACCEPTED) != 0) throw zmq::error_t();
+  if (zmq_socket_monitor(socket.handle(), endpoint.c_str(), ZMQ_EVENT_LISTENING | ZMQ_EVENT_ACCEPTED) != 0)
+    throw zmq::error_t();
   events_.set(zmq::sockopt::linger, 0);
   events_.set(zmq::sockopt::rcvhwm, 0);
   events_.connect(endpoint);
@@ -131,8 +134,9 @@ ConnectionGuard::Counts ConnectionGuard::counts() const {
 void ConnectionGuard::run(const std::stop_token& stop) {
   std::int64_t next_sweep = 0;
   std::size_t open = 0;
+  bool door_open = true;
   while (!stop.stop_requested()) {
-    const std::int64_t left_ns = open == 0 ? std::int64_t{idle_ms} * 1'000'000 : next_sweep - now_ns();
+    const std::int64_t left_ns = open == 0 && door_open ? std::int64_t{idle_ms} * 1'000'000 : next_sweep - now_ns();
     zmq_pollitem_t items[] = {{events_.handle(), 0, ZMQ_POLLIN, 0}, {nullptr, wake_.get(), ZMQ_POLLIN, 0}};
     zmq_poll(items, std::size(items), static_cast<long>(std::clamp<std::int64_t>(left_ns / 1'000'000 + 1, 0, idle_ms)));
     const std::scoped_lock lock(mutex_);
@@ -143,6 +147,7 @@ void ConnectionGuard::run(const std::stop_token& stop) {
       next_sweep = now + std::max(pace.least_ns, static_cast<std::int64_t>(connections_.size()) * pace.of_one_ns);
     }
     open = connections_.size();
+    door_open = door_.open();
   }
 }
 
@@ -151,10 +156,20 @@ void ConnectionGuard::accept_events() {
   while (events_.recv(event, zmq::recv_flags::dontwait)) {
     (void)events_.recv(endpoint);
     if (event.size() < 6) continue;
+    std::uint16_t what = 0;
     std::int32_t fd = -1;
-    std::memcpy(&fd, event.data<std::uint8_t>() + 2, sizeof(fd));
-    begin(fd);
+    std::memcpy(&what, event.data(), sizeof(what));
+    std::memcpy(&fd, event.data<std::uint8_t>() + sizeof(what), sizeof(fd));
+    if (what == ZMQ_EVENT_LISTENING) {
+      door_.add(fd);
+    } else {
+      begin(fd);
+    }
   }
+}
+
+void ConnectionGuard::tend_door() {
+  door_.set_open(limits_.all_unread_bytes == 0 || left_ + left_lately_ <= limits_.all_unread_bytes);
 }
 
 void ConnectionGuard::begin(int fd) {
@@ -165,9 +180,14 @@ void ConnectionGuard::begin(int fd) {
   connection.since_ns = connection.heard_ns = now_ns();
   if (limits_.bytes_per_s > 0) connection.bytes = TokenBucket(limits_.bytes_per_s, limits_.burst_bytes);
   ++counts_.accepted;
+  if (const auto before = connections_.find(fd); before != connections_.end()) count_left(before->second);
   Connection& begun = connections_[fd] = std::move(connection);
   if (limits_.connections != 0 && connections_.size() > limits_.connections) {
     return shut(fd, begun, fmt::format("{} connections are all there may be", limits_.connections));
+  }
+  tend_door();
+  if (!door_.open()) {
+    return shut(fd, begun, fmt::format("others left {} bytes that are still to be read", left_ + left_lately_));
   }
   const auto of_address = std::count_if(connections_.begin(), connections_.end(),
                                         [&](const auto& entry) { return entry.second.address == begun.address; });
@@ -178,12 +198,15 @@ void ConnectionGuard::begin(int fd) {
 
 std::uint64_t ConnectionGuard::sweep(std::int64_t now) {
   const bool drained = drained_.exchange(false);
+  if (drained) left_ = std::exchange(left_lately_, 0);
+  tend_door();
   const bool check_keys = allowed_ && now >= next_key_check_ns_;
   if (check_keys) next_key_check_ns_ = now + second;
   Unread unread, before_first;
   for (auto entry = connections_.begin(); entry != connections_.end();) {
     auto& [fd, connection] = *entry;
     if (cookie_of(fd) != connection.cookie) {
+      count_left(connection);
       entry = connections_.erase(entry);
       continue;
     }
@@ -278,10 +301,16 @@ void ConnectionGuard::make_room(const std::vector<int>& for_descriptors) {
   }
 }
 
+void ConnectionGuard::count_left(const Connection& connection) {
+  if (!connection.closing) left_lately_ += connection.received - connection.read + unseen_bytes;
+}
+
 void ConnectionGuard::shut(int fd, Connection& connection, const std::string& why) {
   if (connection.closing || cookie_of(fd) != connection.cookie) return;
   connection.closing = true;
-  connection.read = connection.received;  // libzmq gives it back when it sees the end
+  // libzmq gives back what was no whole message; the others wait for the owner as before.
+  left_lately_ += connection.received - connection.read;
+  connection.read = connection.received;
   ++counts_.closed;
   // No more of either direction, and a reset instead of what was still to be sent when libzmq closes it.
   const linger none{1, 0};

@@ -12,6 +12,7 @@
 #include <vector>
 #include <zmq.hpp>
 
+#include "bus/door.h"
 #include "bus/file_descriptor.h"
 #include "bus/log_sink.h"
 #include "bus/token_bucket.h"
@@ -24,7 +25,8 @@ struct ConnectionLimits {
   std::size_t of_one_address = 256;        ///< connections
   std::size_t unread_bytes = 0;            ///< received, and not taken yet
   std::size_t first_unread_bytes = 0;      ///< the same before its first message
-  std::size_t all_unread_bytes = 0;        ///< of all connections; the largest goes
+  std::size_t all_unread_bytes = 0;        ///< of all connections; the largest goes. Where those that are gone have
+                                           ///< left as much, nobody new comes in until it was taken
   std::size_t all_first_unread_bytes = 0;  ///< of all that had no message taken
   double bytes_per_s = 0;                  ///< received, with `burst_bytes` at once
   double burst_bytes = 0;
@@ -52,7 +54,8 @@ class ConnectionGuard {
   /// A whole message was taken from the socket; `frame` is any of its frames.
   void took(const zmq::message_t& frame);
 
-  /// Nothing was left to take. Until then what has come counts as unread, whosever messages are taken.
+  /// Nothing was left to take. Until then what has come counts as unread, whosever messages are taken. To be said each
+  /// second at least, or nobody new may come in.
   void drained() { drained_ = true; }
 
   /// Shuts down the connection that a message came by.
@@ -85,12 +88,15 @@ class ConnectionGuard {
   void run(const std::stop_token& stop);
   void accept_events();
   void begin(int fd);
+  void tend_door();
   /// Looks at all of them. Returns the bytes that came, and were not taken, by the one of which there are the most.
   std::uint64_t sweep(std::int64_t now);
   bool look(int fd, Connection& connection, bool drained, std::int64_t now, std::string& why);
   void look_at_sent(Connection& connection, std::uint64_t acked, bool behind, std::int64_t now, std::string& why) const;
   [[nodiscard]] std::string holds_too_much(const Connection& connection, std::int64_t now) const;
   void shut(int fd, Connection& connection, const std::string& why);
+  /// It has closed by itself.
+  void count_left(const Connection& connection);
 
   const ConnectionLimits limits_;
   const std::string name_;
@@ -99,6 +105,8 @@ class ConnectionGuard {
   std::function<bool(const std::string&)> allowed_;
   std::atomic<bool> drained_ = false;
   std::int64_t next_key_check_ns_ = 0;
+  std::uint64_t left_ = 0, left_lately_ = 0;  ///< bytes of who is gone that were not taken; `lately`: since a drained()
+  Door door_;
   Counts counts_;
   LogLimiter limiter_;
   zmq::socket_t& guarded_;

@@ -151,6 +151,34 @@ TEST(HostileEndpoint, WhoSaysMoreThanIsReadIsClosed) {
   EXPECT_LT(sent, 4 * kMiB) << "what was never read was taken for read";
 }
 
+// The streamer is busy, and one after the other says a little and leaves, or is closed for having said too much.
+TEST(HostileEndpoint, WhatThoseHaveSaidWhoAreGoneIsBoundedToo) {
+  const stream::Bytes word = hello();
+  for (const std::size_t bytes : {std::size_t{64} << 10, std::size_t{1} << 20}) {
+    Endpoint endpoint({"tcp://127.0.0.1:*"}, {});
+    std::string many;
+    while (many.size() < bytes) {
+      many += '\0';
+      many += static_cast<char>(word.size());  // a short frame
+      many.append(word.begin(), word.end());
+    }
+    const auto end = std::chrono::steady_clock::now() + 2s;
+    for (int i = 0; i < 2000 && std::chrono::steady_clock::now() < end; ++i) {
+      auto raw = RawZmtp::try_connect(endpoint.bound().front());
+      if (raw && raw->handshake("DEALER")) raw->send_bytes(many);
+    }
+    std::size_t waits = 0;
+    while (endpoint.receive()) ++waits;
+    EXPECT_GT(waits, 0U);
+    EXPECT_LT(waits * word.size(), 48 * kMiB) << "of those that said " << bytes << " each";
+    Dealer good(endpoint.bound().front());
+    EXPECT_TRUE(eventually([&] {
+      good.say_hello();
+      return endpoint.receive().has_value();
+    }));
+  }
+}
+
 TEST(HostileEndpoint, WhoNeverSaysAWordIsClosed) {
   ServedEndpoint endpoint;
   std::vector<RawZmtp> silent;  // one after the handshake, one before it, one before the greeting

@@ -88,10 +88,10 @@ class HostilePipeline : public testing::Test {
   static void flood(const std::string& endpoint, const std::string& type, const std::vector<std::string>& words) {
     const auto end = std::chrono::steady_clock::now() + kAttack;
     while (std::chrono::steady_clock::now() < end) {
-      RawZmtp raw(endpoint);
-      if (!raw.handshake(type)) continue;
+      auto raw = RawZmtp::try_connect(endpoint);
+      if (!raw || !raw->handshake(type)) continue;
       for (std::size_t i = 0; std::chrono::steady_clock::now() < end; ++i) {
-        if (!raw.send_frame(words[i % words.size()], false)) break;
+        if (!raw->send_frame(words[i % words.size()], false)) break;
       }
     }
   }
@@ -121,9 +121,9 @@ TEST_F(HostilePipeline, MessagesWithoutAnEndOnEveryTcpSocket) {
   for (const auto& [endpoint, type] : {std::pair(stream_endpoint(), "DEALER"), std::pair(writers(), "XPUB")}) {
     const auto end = std::chrono::steady_clock::now() + kAttack;
     while (std::chrono::steady_clock::now() < end) {
-      RawZmtp raw(endpoint);
-      ASSERT_TRUE(raw.handshake(type));
-      while (std::chrono::steady_clock::now() < end && raw.send_frame(part, true)) {
+      auto raw = RawZmtp::try_connect(endpoint);
+      if (!raw || !raw->handshake(type)) continue;
+      while (std::chrono::steady_clock::now() < end && raw->send_frame(part, true)) {
       }
     }
     // Between two looks of the guard's thread a busy machine takes in more than it allows; without the guard it is 1

@@ -35,6 +35,8 @@ std::string frame_head(std::uint8_t flags, std::uint64_t bytes) {
 bus::FileDescriptor connect_tcp(const std::string& host, int port) {
   bus::FileDescriptor socket(::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0));
   sockaddr_in address{};
+  const timeval patience{kPatienceMs / 1000, 0};
+  ::setsockopt(socket.get(), SOL_SOCKET, SO_SNDTIMEO, &patience, sizeof(patience));  // connect's as well
   address.sin_family = AF_INET;
   address.sin_port = htons(static_cast<std::uint16_t>(port));
   ::inet_pton(AF_INET, host.c_str(), &address.sin_addr);
@@ -65,6 +67,14 @@ RawZmtp::RawZmtp(const std::string& endpoint) {
   const timeval timeout{kPatienceMs / 1000, 0};
   ::setsockopt(socket_.get(), SOL_SOCKET, SO_SNDTIMEO, &timeout, sizeof(timeout));
   ::setsockopt(socket_.get(), SOL_SOCKET, SO_RCVTIMEO, &timeout, sizeof(timeout));
+}
+
+std::optional<RawZmtp> RawZmtp::try_connect(const std::string& endpoint) {
+  try {
+    return RawZmtp(endpoint);
+  } catch (const std::runtime_error&) {
+    return std::nullopt;
+  }
 }
 
 bool RawZmtp::greet(const std::string& mechanism) {

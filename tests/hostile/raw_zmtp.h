@@ -3,6 +3,7 @@
 #include <chrono>
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <string>
 
 #include "bus/file_descriptor.h"
@@ -15,6 +16,8 @@ class RawZmtp {
  public:
   /// Connects. `endpoint` is tcp://127.0.0.1:port or ipc:///path. Throws std::runtime_error.
   explicit RawZmtp(const std::string& endpoint);
+  /// None where nobody is let in for `patience`.
+  static std::optional<RawZmtp> try_connect(const std::string& endpoint);
 
   /// The greeting with a mechanism of 20 characters at most, and the server's. False when the peer closed.
   bool greet(const std::string& mechanism = "NULL");
