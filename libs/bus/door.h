@@ -4,8 +4,8 @@
 
 namespace splatbus::bus {
 
-/// Whether the kernel takes new connections to listening tcp sockets. Whoever connects while it takes none tries again by
-/// itself (after a second, at first), as where a packet was lost. Not locked.
+/// Whether the kernel takes new connections to listening tcp sockets. Whoever connects while it takes none tries again
+/// by itself (after a second, at first), as where a packet was lost. Not locked.
 class Door {
  public:
   /// `listener` is a descriptor that somebody else owns.

@@ -8,6 +8,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <deque>
+#include <vector>
 
 #include "viewer/ui/menu.h"
 
@@ -70,6 +72,7 @@ class ImGuiOverlay final : public Overlay {
   }
 
   std::vector<Action> draw(OverlayContent& content) override {
+    pass_keys();
     ImGui_ImplOpenGL3_NewFrame();
     ImGui_ImplGlfw_NewFrame();
     ImGui::NewFrame();
@@ -80,22 +83,14 @@ class ImGuiOverlay final : public Overlay {
     shown_ = content.menu;
     ImGui::Render();
     ImGui_ImplOpenGL3_RenderDrawData(ImGui::GetDrawData());
-    unseen_.clear();
-    pass_releases();
     return actions;
   }
 
   void key(int key, int scancode, int action, int mods) override {
-    const bool unseen = std::ranges::find(unseen_, key) != unseen_.end();
-    if (action == GLFW_RELEASE && unseen) {
-      releases_.push_back({key, scancode, mods});
-      return;
-    }
-    // Pressed twice within a picture: that is two.
-    if (std::ranges::any_of(releases_, [key](const Release& release) { return release.key == key; })) pass_releases();
-    if (action == GLFW_PRESS && !unseen) unseen_.push_back(key);
-    ImGui_ImplGlfw_KeyCallback(window_, key, scancode, action, mods);
+    keys_.push_back({key, scancode, action, mods});
+    if (!shown_) pass_keys();
   }
+  bool has_keys() const override { return shown_ && !keys_.empty(); }
 
   // By the place: ImGui's own WantCaptureMouse is of where the mouse was when it was last drawn.
   bool wants_mouse() const override {
@@ -109,21 +104,24 @@ class ImGuiOverlay final : public Overlay {
   }
 
  private:
-  struct Release {
-    int key, scancode, mods;
+  struct Key {
+    int key, scancode, action, mods;
   };
-  // ImGui sees keys as they are when it is drawn: one that was let go before has to be down once. Not twice: a picture
-  // may take longer than what a key is held to be repeated.
-  void pass_releases() {
-    for (const Release& r : releases_) ImGui_ImplGlfw_KeyCallback(window_, r.key, r.scancode, GLFW_RELEASE, r.mods);
-    releases_.clear();
+  // ImGui sees keys as they are when it is drawn: a picture shows one change of each, however many came before it.
+  void pass_keys() {
+    std::vector<int> changed;
+    while (!keys_.empty() && std::ranges::find(changed, keys_.front().key) == changed.end()) {
+      const Key now = keys_.front();
+      keys_.pop_front();
+      if (shown_) changed.push_back(now.key);
+      ImGui_ImplGlfw_KeyCallback(window_, now.key, now.scancode, now.action, now.mods);
+    }
   }
 
   GLFWwindow* window_;
   MenuPlace menu_;
-  bool shown_ = false;       ///< the menu
-  std::vector<int> unseen_;  ///< keys that were pressed since it was drawn
-  std::vector<Release> releases_;
+  bool shown_ = false;  ///< the menu
+  std::deque<Key> keys_;
 };
 
 }  // namespace

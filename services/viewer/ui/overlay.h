@@ -37,6 +37,8 @@ class Overlay {
   virtual std::vector<Action> draw(OverlayContent& content) = 0;
   /// As GLFW's key callback has it.
   virtual void key(int key, int scancode, int action, int mods) = 0;
+  /// Whether it has yet to be drawn for keys that came faster than pictures.
+  [[nodiscard]] virtual bool has_keys() const = 0;
   /// Whether mouse and keys are meant for it.
   [[nodiscard]] virtual bool wants_mouse() const = 0;
   [[nodiscard]] virtual bool wants_keyboard() const = 0;

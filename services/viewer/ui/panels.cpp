@@ -79,7 +79,7 @@ std::vector<Action> Panels::draw(bool new_picture) {
   drawn_figures_ = content.figures;
   drawn_notice_ = content.notice;
   std::vector<Action> actions = overlay_->draw(content);
-  if (!actions.empty()) touched_ = kTouchedPictures;
+  if (!actions.empty() || overlay_->has_keys()) touched_ = kTouchedPictures;
   return actions;
 }
 

@@ -218,7 +218,9 @@ TEST_F(RenewedViews, ColumnsThatMoveTakeTheirMomentsWithThem) {
   for (auto& values : trained) {  // the dead column's place holds whatever was left there
     for (std::size_t c = 0; c < 41; ++c) values[c * count + count - 1] = 0;
   }
-  EXPECT_LT(difference(trained[1], trained[0]), 1e-4);
+  // A gradient near 0 has the sign of the order of additions: a tenth of a step of Adam's. Without its moments a column
+  // is whole steps away.
+  EXPECT_LT(difference(trained[1], trained[0]), 4e-4);
 }
 
 TEST_F(RenewedViews, ContributionsAreTheCpuBackends) {

@@ -107,6 +107,19 @@ TEST_F(WindowTest, TheBudgetIsAsChosenAndTheModelIsSaved) {
   }));
 }
 
+// As where a picture takes longer than it takes to press them.
+TEST_F(WindowTest, AKeyPressedTwiceDuringALongPictureCountsTwice) {
+  start({"probe=true"});
+  open_menu();
+  press_times("Down", 3);
+  const cv::Mat third = display_->screen()(kMenu).clone();
+  press_times("Up", 3);
+  viewer_->send(SIGSTOP);
+  for (int i = 0; i < 3; ++i) Display::act("key Down");
+  viewer_->send(SIGCONT);
+  EXPECT_TRUE(soon([&] { return !differ(display_->screen()(kMenu), third); }));
+}
+
 // As where a picture takes longer than what a key is held to be repeated: it stands still between press and release.
 TEST_F(WindowTest, AKeyLetGoDuringALongPictureCountsOnce) {
   start({"probe=true"});
