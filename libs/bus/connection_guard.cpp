@@ -1,6 +1,7 @@
 #include "bus/connection_guard.h"
 
 #include <arpa/inet.h>
+#include <fcntl.h>
 #include <fmt/format.h>
 #include <linux/tcp.h>
 #include <netinet/in.h>
@@ -32,9 +33,8 @@ struct Pace {
 constexpr Pace calm{10'000'000, 50'000}, hurried{2'000'000, 10'000};
 constexpr std::uint64_t growing_bytes = std::uint64_t{1} << 20;
 constexpr int idle_ms = 100;
-// What a connection that was closed by its peer may have brought since it was looked at.
-constexpr std::uint64_t unseen_bytes = 16384;
 constexpr std::size_t descriptors_for_others = 128;
+constexpr std::size_t descriptors_a_connection = 2;
 
 /// Of a tcp connection's peer; empty for what is none.
 std::string address_of(int fd) {
@@ -47,6 +47,12 @@ std::string address_of(int fd) {
   if (peer.ss_family == AF_INET6) address = &reinterpret_cast<const sockaddr_in6&>(peer).sin6_addr;
   if (address == nullptr || ::inet_ntop(peer.ss_family, address, text.data(), text.size()) == nullptr) return {};
   return text.data();
+}
+
+std::uint64_t received_by(const FileDescriptor& connection) {
+  tcp_info info{};
+  socklen_t size = sizeof(info);
+  return ::getsockopt(connection.get(), IPPROTO_TCP, TCP_INFO, &info, &size) == 0 ? info.tcpi_bytes_received : 0;
 }
 
 struct Unread {
@@ -65,7 +71,8 @@ std::size_t room_for_connections(std::size_t wanted) {
   rlimit limit{};
   if (::getrlimit(RLIMIT_NOFILE, &limit) != 0) return wanted;
   const auto all = static_cast<std::size_t>(limit.rlim_cur);
-  return std::min(wanted, all > 2 * descriptors_for_others ? all - descriptors_for_others : all / 2);
+  const std::size_t ours = all > 2 * descriptors_for_others ? all - descriptors_for_others : all / 2;
+  return std::min(wanted, ours / descriptors_a_connection);
 }
 
 ConnectionLimits within_descriptors(ConnectionLimits limits) {
@@ -104,10 +111,17 @@ ConnectionGuard::~ConnectionGuard() {
   zmq_socket_monitor(guarded_.handle(), nullptr, 0);
 }
 
-void ConnectionGuard::took(const zmq::message_t& frame) {
+void ConnectionGuard::took(const zmq::message_t& frame, std::size_t bytes) {
   const int fd = descriptor_of(frame);
   const std::scoped_lock lock(mutex_);
   const auto found = connections_.find(fd);
+  if (found == connections_.end() || found->second.closing) {
+    for (std::uint64_t* left : {&left_, &left_lately_}) {
+      const std::uint64_t less = std::min<std::uint64_t>(*left, bytes);
+      *left -= less;
+      bytes -= less;
+    }
+  }
   if (found == connections_.end()) return;
   found->second.taken = found->second.taken_lately = true;
   if (found->second.key.empty()) found->second.key = sender_key(frame);
@@ -116,7 +130,7 @@ void ConnectionGuard::took(const zmq::message_t& frame) {
 void ConnectionGuard::close(const zmq::message_t& frame, const std::string& why) {
   const int fd = descriptor_of(frame);
   const std::scoped_lock lock(mutex_);
-  if (const auto found = connections_.find(fd); found != connections_.end()) shut(fd, found->second, why);
+  if (const auto found = connections_.find(fd); found != connections_.end()) shut(found->second, why);
 }
 
 void ConnectionGuard::keep_only(std::function<bool(const std::string& key)> allowed) {
@@ -169,30 +183,38 @@ void ConnectionGuard::accept_events() {
 }
 
 void ConnectionGuard::tend_door() {
-  door_.set_open(limits_.all_unread_bytes == 0 || left_ + left_lately_ <= limits_.all_unread_bytes);
+  door_.set_open(limits_.all_left_bytes == 0 || left_ + left_lately_ <= limits_.all_left_bytes);
 }
 
 void ConnectionGuard::begin(int fd) {
   Connection connection;
-  connection.address = address_of(fd);
   connection.cookie = cookie_of(fd);
+  if (const auto before = connections_.find(fd); before != connections_.end()) {
+    if (before->second.cookie == connection.cookie) return;
+    count_left(before->second);
+    connections_.erase(before);
+  }
+  connection.address = address_of(fd);
   if (connection.address.empty() || connection.cookie == 0) return;  // over ipc, or gone again
+  connection.own = FileDescriptor(::fcntl(fd, F_DUPFD_CLOEXEC, 0));
+  if (cookie_of(connection.own.get()) != connection.cookie) return;  // gone, or no descriptor is left: nobody reads it
+  const int none = 0;  // the door's, which it has inherited in the moment in which that was shut
+  ::setsockopt(connection.own.get(), SOL_SOCKET, SO_DETACH_FILTER, &none, sizeof(none));
   connection.since_ns = connection.heard_ns = now_ns();
   if (limits_.bytes_per_s > 0) connection.bytes = TokenBucket(limits_.bytes_per_s, limits_.burst_bytes);
   ++counts_.accepted;
-  if (const auto before = connections_.find(fd); before != connections_.end()) count_left(before->second);
   Connection& begun = connections_[fd] = std::move(connection);
   if (limits_.connections != 0 && connections_.size() > limits_.connections) {
-    return shut(fd, begun, fmt::format("{} connections are all there may be", limits_.connections));
+    return shut(begun, fmt::format("{} connections are all there may be", limits_.connections));
   }
   tend_door();
   if (!door_.open()) {
-    return shut(fd, begun, fmt::format("others left {} bytes that are still to be read", left_ + left_lately_));
+    return shut(begun, fmt::format("others left {} bytes that are still to be read", left_ + left_lately_));
   }
   const auto of_address = std::count_if(connections_.begin(), connections_.end(),
                                         [&](const auto& entry) { return entry.second.address == begun.address; });
   if (limits_.of_one_address != 0 && static_cast<std::size_t>(of_address) > limits_.of_one_address) {
-    shut(fd, begun, fmt::format("{} connections are all that one address may have", limits_.of_one_address));
+    shut(begun, fmt::format("{} connections are all that one address may have", limits_.of_one_address));
   }
 }
 
@@ -211,37 +233,37 @@ std::uint64_t ConnectionGuard::sweep(std::int64_t now) {
       continue;
     }
     std::string why;
-    if (!look(fd, connection, drained, now, why)) {
-      shut(fd, connection, why);
+    if (!look(connection, drained, now, why)) {
+      shut(connection, why);
     } else if (check_keys && !connection.key.empty() && !allowed_(connection.key)) {
-      shut(fd, connection, "its key is not allowed any more");
+      shut(connection, "its key is not allowed any more");
     } else {
-      unread.add(fd, connection.received - connection.read);
-      if (!connection.taken) before_first.add(fd, connection.received - connection.read);
+      unread.add(fd, connection.unread());
+      if (!connection.taken) before_first.add(fd, connection.unread());
     }
     ++entry;
   }
   for (const auto& [sum, limit] :
        {std::pair(unread, limits_.all_unread_bytes), std::pair(before_first, limits_.all_first_unread_bytes)}) {
     if (limit == 0 || sum.all <= limit) continue;
-    shut(sum.largest_fd, connections_.at(sum.largest_fd),
+    shut(connections_.at(sum.largest_fd),
          fmt::format("all together hold {} bytes of unfinished messages, and it the most", sum.all));
   }
   return unread.largest;
 }
 
-bool ConnectionGuard::look(int fd, Connection& connection, bool drained, std::int64_t now, std::string& why) {
+bool ConnectionGuard::look(Connection& connection, bool drained, std::int64_t now, std::string& why) {
   if (connection.closing) return true;
   tcp_info info{};
   socklen_t size = sizeof(info);
-  if (::getsockopt(fd, IPPROTO_TCP, TCP_INFO, &info, &size) != 0) return true;
+  if (::getsockopt(connection.own.get(), IPPROTO_TCP, TCP_INFO, &info, &size) != 0) return true;
   const std::uint64_t before = std::exchange(connection.received, info.tcpi_bytes_received);
   if (connection.taken_lately) connection.heard_ns = now;
   if (drained && std::exchange(connection.taken_lately, false)) {
     // What came before the last look is in that message, or was in the queue behind it.
     connection.read = before;
   }
-  const std::uint64_t unread = connection.received - connection.read;
+  const std::uint64_t unread = connection.unread();
   const std::size_t limit =
       connection.taken || limits_.first_unread_bytes == 0 ? limits_.unread_bytes : limits_.first_unread_bytes;
   if (limit != 0 && unread > limit) {
@@ -297,25 +319,26 @@ void ConnectionGuard::make_room(const std::vector<int>& for_descriptors) {
   });
   if (!waits) return;
   for (auto& [fd, connection] : connections_) {
-    if (const std::string why = holds_too_much(connection, now); !why.empty()) shut(fd, connection, why);
+    if (const std::string why = holds_too_much(connection, now); !why.empty()) shut(connection, why);
   }
 }
 
-void ConnectionGuard::count_left(const Connection& connection) {
-  if (!connection.closing) left_lately_ += connection.received - connection.read + unseen_bytes;
+void ConnectionGuard::count_left(Connection& connection) {
+  connection.received = std::max(connection.received, received_by(connection.own));
+  left_lately_ += connection.unread();
+  connection.read = connection.received;
 }
 
-void ConnectionGuard::shut(int fd, Connection& connection, const std::string& why) {
-  if (connection.closing || cookie_of(fd) != connection.cookie) return;
+void ConnectionGuard::shut(Connection& connection, const std::string& why) {
+  if (connection.closing) return;
   connection.closing = true;
-  // libzmq gives back what was no whole message; the others wait for the owner as before.
-  left_lately_ += connection.received - connection.read;
-  connection.read = connection.received;
   ++counts_.closed;
-  // No more of either direction, and a reset instead of what was still to be sent when libzmq closes it.
+  // No more of either direction, and a reset instead of what was still to be sent when libzmq closes it. libzmq gives
+  // back what was no whole message; the others wait for the owner as before.
   const linger none{1, 0};
-  ::setsockopt(fd, SOL_SOCKET, SO_LINGER, &none, sizeof(none));
-  ::shutdown(fd, SHUT_RDWR);
+  ::setsockopt(connection.own.get(), SOL_SOCKET, SO_LINGER, &none, sizeof(none));
+  ::shutdown(connection.own.get(), SHUT_RDWR);
+  count_left(connection);
   if (limiter_.allow()) {
     spdlog::warn("{}: closed a connection from {} ({} so far): {}", name_, connection.address, counts_.closed, why);
   }

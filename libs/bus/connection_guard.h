@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <atomic>
 #include <cstddef>
 #include <cstdint>
@@ -25,8 +26,8 @@ struct ConnectionLimits {
   std::size_t of_one_address = 256;        ///< connections
   std::size_t unread_bytes = 0;            ///< received, and not taken yet
   std::size_t first_unread_bytes = 0;      ///< the same before its first message
-  std::size_t all_unread_bytes = 0;        ///< of all connections; the largest goes. Where those that are gone have
-                                           ///< left as much, nobody new comes in until it was taken
+  std::size_t all_unread_bytes = 0;        ///< of all connections; the largest goes
+  std::size_t all_left_bytes = 0;          ///< of those that are gone; nobody new comes in while it is more
   std::size_t all_first_unread_bytes = 0;  ///< of all that had no message taken
   double bytes_per_s = 0;                  ///< received, with `burst_bytes` at once
   double burst_bytes = 0;
@@ -51,11 +52,11 @@ class ConnectionGuard {
   ConnectionGuard(const ConnectionGuard&) = delete;
   ConnectionGuard& operator=(const ConnectionGuard&) = delete;
 
-  /// A whole message was taken from the socket; `frame` is any of its frames.
-  void took(const zmq::message_t& frame);
+  /// A whole message of so many bytes was taken from the socket; `frame` is any of its frames.
+  void took(const zmq::message_t& frame, std::size_t bytes);
 
-  /// Nothing was left to take. Until then what has come counts as unread, whosever messages are taken. To be said each
-  /// second at least, or nobody new may come in.
+  /// Nothing was left to take. Until then what has come counts as unread, whosever messages are taken. Say it whenever
+  /// the queue is found empty, even if nothing came: what those have left who are gone is forgotten by it.
   void drained() { drained_ = true; }
 
   /// Shuts down the connection that a message came by.
@@ -77,6 +78,7 @@ class ConnectionGuard {
 
  private:
   struct Connection {
+    FileDescriptor own;        ///< of the same connection, whatever libzmq does with its own
     std::uint64_t cookie = 0;  ///< the kernel's name for the connection: a descriptor's number is soon another's
     std::string address, key;
     std::int64_t since_ns = 0, heard_ns = 0, sent_since_ns = 0, behind_since_ns = 0;
@@ -84,6 +86,8 @@ class ConnectionGuard {
     std::uint64_t received = 0, read = 0, acked = 0, acked_at_stall = 0, acked_when_behind = 0;
     TokenBucket bytes{0, 1};
     bool closing = false;
+
+    [[nodiscard]] std::uint64_t unread() const { return received - std::min(read, received); }
   };
   void run(const std::stop_token& stop);
   void accept_events();
@@ -91,12 +95,12 @@ class ConnectionGuard {
   void tend_door();
   /// Looks at all of them. Returns the bytes that came, and were not taken, by the one of which there are the most.
   std::uint64_t sweep(std::int64_t now);
-  bool look(int fd, Connection& connection, bool drained, std::int64_t now, std::string& why);
+  bool look(Connection& connection, bool drained, std::int64_t now, std::string& why);
   void look_at_sent(Connection& connection, std::uint64_t acked, bool behind, std::int64_t now, std::string& why) const;
   [[nodiscard]] std::string holds_too_much(const Connection& connection, std::int64_t now) const;
-  void shut(int fd, Connection& connection, const std::string& why);
-  /// It has closed by itself.
-  void count_left(const Connection& connection);
+  void shut(Connection& connection, const std::string& why);
+  /// What it has brought, and nobody has read, is still there when it is gone.
+  void count_left(Connection& connection);
 
   const ConnectionLimits limits_;
   const std::string name_;
@@ -105,7 +109,7 @@ class ConnectionGuard {
   std::function<bool(const std::string&)> allowed_;
   std::atomic<bool> drained_ = false;
   std::int64_t next_key_check_ns_ = 0;
-  std::uint64_t left_ = 0, left_lately_ = 0;  ///< bytes of who is gone that were not taken; `lately`: since a drained()
+  std::uint64_t left_ = 0, left_lately_ = 0;  ///< bytes not taken of those that are gone; `lately`: since a drained()
   Door door_;
   Counts counts_;
   LogLimiter limiter_;

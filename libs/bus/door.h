@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstdint>
 #include <vector>
 
 namespace splatbus::bus {
@@ -8,15 +9,19 @@ namespace splatbus::bus {
 /// by itself (after a second, at first), as where a packet was lost. Not locked.
 class Door {
  public:
-  /// `listener` is a descriptor that somebody else owns.
+  /// `listener` is a descriptor that somebody else owns; other sockets than tcp's are left alone.
   void add(int listener);
   void set_open(bool open);
   [[nodiscard]] bool open() const { return open_; }
 
  private:
-  void apply(int listener) const;
+  struct Listener {
+    int fd = -1;
+    std::uint64_t cookie = 0;
+  };
+  void apply(const Listener& listener) const;
 
-  std::vector<int> listeners_;
+  std::vector<Listener> listeners_;
   bool open_ = true;
 };
 

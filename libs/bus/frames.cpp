@@ -109,6 +109,7 @@ constexpr int remote_high_water_mark = 256;
 constexpr int linger_ms = 500;
 constexpr int reconnect_ms = 50;
 constexpr int reconnect_max_ms = 500;
+constexpr int connect_ms = 1000;  // who is not let in now is in a moment
 
 }  // namespace
 
@@ -120,7 +121,9 @@ void configure_socket(zmq::socket_t& socket, bool local) {
   socket.set(zmq::sockopt::maxmsgsize, max_frame_bytes);
   socket.set(zmq::sockopt::reconnect_ivl, reconnect_ms);
   socket.set(zmq::sockopt::reconnect_ivl_max, reconnect_max_ms);
-  if (!local) watch_connections(socket);
+  if (local) return;
+  socket.set(zmq::sockopt::connect_timeout, connect_ms);
+  watch_connections(socket);
 }
 
 }  // namespace splatbus::bus

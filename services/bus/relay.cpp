@@ -97,7 +97,7 @@ void Relay::relay_from(Side& side) {
       if (!side.local && writers_guard_) writers_guard_->drained();
       return;
     }
-    if (!side.local && writers_guard_) writers_guard_->took(frames.topic);
+    if (!side.local && writers_guard_) writers_guard_->took(frames.topic, frames.bytes());
     if (result == bus::RecvResult::Malformed) {
       refuse(frames, why);
     } else {
@@ -211,7 +211,7 @@ void Relay::read_subscriptions(Side& side) {
       if (!side.local && readers_guard_) readers_guard_->drained();
       return;
     }
-    if (!side.local && readers_guard_) readers_guard_->took(event);
+    if (!side.local && readers_guard_) readers_guard_->took(event, event.size());
     if (event.size() > bus::max_topic_bytes + 1) {
       // libzmq keeps it all the same, for as long as the connection is there.
       if (!side.local && readers_guard_) readers_guard_->close(event, "it subscribes to what is no topic");
@@ -261,7 +261,7 @@ void Relay::tick() {
   resend_missed(local_);
   resend_missed(remote_);
   make_room(now);
-  if (writers_guard_) {  // that nothing is left is heard by the guards though nothing came
+  if (writers_guard_) {  // the guards have to hear that the queues are empty even when nothing came
     relay_from(remote_);
     read_subscriptions(remote_);
   }

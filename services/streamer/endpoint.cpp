@@ -67,6 +67,7 @@ Endpoint::Endpoint(const std::vector<std::string>& endpoints, const EndpointOpti
                  bus::ConnectionLimits{.unread_bytes = kUnreadBytes,
                                        .first_unread_bytes = kFirstUnreadBytes,
                                        .all_unread_bytes = 8 * kUnreadBytes,
+                                       .all_left_bytes = 8 * kUnreadBytes,
                                        .bytes_per_s = kBytesPerSecond,
                                        .burst_bytes = 4 * kBytesPerSecond,
                                        .greeting_s = kGreetingSeconds,
@@ -151,13 +152,15 @@ std::optional<Endpoint::Received> Endpoint::receive() {
     }
     const Peer peer = frame.to_string();
     std::vector<zmq::message_t> parts;
+    std::size_t bytes = 0;
     // To its very last part: what is left behind would be read as the next sender's routing id.
     for (bool more = frame.more(); more; more = socket_.get(zmq::sockopt::rcvmore) != 0) {
       zmq::message_t part;
       (void)socket_.recv(part);
+      bytes += part.size();
       if (parts.size() <= kMaxParts) parts.push_back(std::move(part));
     }
-    if (!parts.empty()) guard_->took(parts[0]);
+    if (!parts.empty()) guard_->took(parts[0], bytes);
     if (auto received = parse(peer, parts)) return received;
   }
   return std::nullopt;

@@ -170,7 +170,7 @@ TEST(HostileEndpoint, WhatThoseHaveSaidWhoAreGoneIsBoundedToo) {
     std::size_t waits = 0;
     while (endpoint.receive()) ++waits;
     EXPECT_GT(waits, 0U);
-    EXPECT_LT(waits * word.size(), 48 * kMiB) << "of those that said " << bytes << " each";
+    EXPECT_LT(waits * word.size(), 16 * kMiB) << "of those that said " << bytes << " each";
     Dealer good(endpoint.bound().front());
     EXPECT_TRUE(eventually([&] {
       good.say_hello();

@@ -16,7 +16,7 @@ class RawZmtp {
  public:
   /// Connects. `endpoint` is tcp://127.0.0.1:port or ipc:///path. Throws std::runtime_error.
   explicit RawZmtp(const std::string& endpoint);
-  /// None where nobody is let in for `patience`.
+  /// None if nobody is let in within two seconds.
   static std::optional<RawZmtp> try_connect(const std::string& endpoint);
 
   /// The greeting with a mechanism of 20 characters at most, and the server's. False when the peer closed.

@@ -87,6 +87,7 @@ class ImGuiOverlay final : public Overlay {
   }
 
   void key(int key, int scancode, int action, int mods) override {
+    if (action == GLFW_REPEAT) return;  // ImGui repeats by itself
     keys_.push_back({key, scancode, action, mods});
     if (!shown_) pass_keys();
   }
@@ -107,14 +108,17 @@ class ImGuiOverlay final : public Overlay {
   struct Key {
     int key, scancode, action, mods;
   };
-  // ImGui sees keys as they are when it is drawn: a picture shows one change of each, however many came before it.
+  // ImGui sees keys as they are when it is drawn: a picture shows one press and one change of each key, however many
+  // came before it.
   void pass_keys() {
     std::vector<int> changed;
     while (!keys_.empty() && std::ranges::find(changed, keys_.front().key) == changed.end()) {
       const Key now = keys_.front();
       keys_.pop_front();
-      if (shown_) changed.push_back(now.key);
       ImGui_ImplGlfw_KeyCallback(window_, now.key, now.scancode, now.action, now.mods);
+      if (!shown_) continue;
+      if (now.action == GLFW_PRESS) break;
+      changed.push_back(now.key);
     }
   }
 

@@ -107,8 +107,7 @@ TEST_F(WindowTest, TheBudgetIsAsChosenAndTheModelIsSaved) {
   }));
 }
 
-// As where a picture takes longer than it takes to press them.
-TEST_F(WindowTest, AKeyPressedTwiceDuringALongPictureCountsTwice) {
+TEST_F(WindowTest, AKeyCountsAsOftenAsItIsPressedDuringALongPicture) {
   start({"probe=true"});
   open_menu();
   press_times("Down", 3);
@@ -118,6 +117,23 @@ TEST_F(WindowTest, AKeyPressedTwiceDuringALongPictureCountsTwice) {
   for (int i = 0; i < 3; ++i) Display::act("key Down");
   viewer_->send(SIGCONT);
   EXPECT_TRUE(soon([&] { return !differ(display_->screen()(kMenu), third); }));
+}
+
+TEST_F(WindowTest, AKeyHeldDuringALongPictureCountsOnce) {
+  start({"probe=true"});
+  open_menu();
+  press("Down");
+  press("Down");
+  const cv::Mat second = display_->screen()(kMenu).clone();
+  press("Up");
+  viewer_->send(SIGSTOP);
+  Display::act("keydown Down");
+  std::this_thread::sleep_for(2s);  // the display repeats it meanwhile
+  Display::act("keyup Down");
+  viewer_->send(SIGCONT);
+  EXPECT_TRUE(soon([&] { return !differ(display_->screen()(kMenu), second); }));
+  std::this_thread::sleep_for(1s);
+  EXPECT_FALSE(differ(display_->screen()(kMenu), second));
 }
 
 // As where a picture takes longer than what a key is held to be repeated: it stands still between press and release.
