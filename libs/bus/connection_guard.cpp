@@ -1,17 +1,11 @@
 #include "bus/connection_guard.h"
 
-#include <arpa/inet.h>
-#include <fcntl.h>
 #include <fmt/format.h>
-#include <linux/tcp.h>
-#include <netinet/in.h>
 #include <spdlog/spdlog.h>
 #include <sys/eventfd.h>
 #include <sys/resource.h>
-#include <sys/socket.h>
 
 #include <algorithm>
-#include <array>
 #include <atomic>
 #include <cstring>
 #include <utility>
@@ -24,7 +18,6 @@
 namespace splatbus::bus {
 namespace {
 
-constexpr std::int64_t second = 1'000'000'000;
 // Thousands of connections are looked at less often. The loopback device brings 20 MiB in 10 ms, so that what grows is
 // looked at more often.
 struct Pace {
@@ -34,26 +27,7 @@ constexpr Pace calm{10'000'000, 50'000}, hurried{2'000'000, 10'000};
 constexpr std::uint64_t growing_bytes = std::uint64_t{1} << 20;
 constexpr int idle_ms = 100;
 constexpr std::size_t descriptors_for_others = 128;
-constexpr std::size_t descriptors_a_connection = 2;
-
-/// Of a tcp connection's peer; empty for what is none.
-std::string address_of(int fd) {
-  sockaddr_storage peer{};
-  socklen_t size = sizeof(peer);
-  if (::getpeername(fd, reinterpret_cast<sockaddr*>(&peer), &size) != 0) return {};
-  std::array<char, INET6_ADDRSTRLEN> text{};
-  const void* address = nullptr;
-  if (peer.ss_family == AF_INET) address = &reinterpret_cast<const sockaddr_in&>(peer).sin_addr;
-  if (peer.ss_family == AF_INET6) address = &reinterpret_cast<const sockaddr_in6&>(peer).sin6_addr;
-  if (address == nullptr || ::inet_ntop(peer.ss_family, address, text.data(), text.size()) == nullptr) return {};
-  return text.data();
-}
-
-std::uint64_t received_by(const FileDescriptor& connection) {
-  tcp_info info{};
-  socklen_t size = sizeof(info);
-  return ::getsockopt(connection.get(), IPPROTO_TCP, TCP_INFO, &info, &size) == 0 ? info.tcpi_bytes_received : 0;
-}
+constexpr std::size_t descriptors_a_connection = 4;  // libzmq's and ours, and a bus has two guards
 
 struct Unread {
   std::uint64_t all = 0, largest = 0;
@@ -78,10 +52,6 @@ std::size_t room_for_connections(std::size_t wanted) {
 ConnectionLimits within_descriptors(ConnectionLimits limits) {
   limits.connections = room_for_connections(limits.connections);
   return limits;
-}
-
-std::int64_t to_ns(double seconds) {
-  return static_cast<std::int64_t>(seconds * static_cast<double>(second));
 }
 
 }  // namespace
@@ -115,7 +85,9 @@ void ConnectionGuard::took(const zmq::message_t& frame, std::size_t bytes) {
   const int fd = descriptor_of(frame);
   const std::scoped_lock lock(mutex_);
   const auto found = connections_.find(fd);
-  if (found == connections_.end() || found->second.closing) {
+  // Where libzmq does not say by which connection it came, as with the end of a subscription, no byte came for it.
+  const bool gone = found == connections_.end() ? fd >= 0 && cookie_of(fd) == 0 : found->second.closing;
+  if (left_ + left_lately_ > 0 && gone) {
     for (std::uint64_t* left : {&left_, &left_lately_}) {
       const std::uint64_t less = std::min<std::uint64_t>(*left, bytes);
       *left -= less;
@@ -187,19 +159,23 @@ void ConnectionGuard::tend_door() {
 }
 
 void ConnectionGuard::begin(int fd) {
-  Connection connection;
-  connection.cookie = cookie_of(fd);
+  // Held numbers are no connections of libzmq's: it has closed this one, and the event is late.
+  if (HeldConnection::has(fd)) return;
+  const std::string address = address_of(fd);
+  const std::uint64_t cookie = cookie_of(fd);
+  if (address.empty() || cookie == 0) return;  // over ipc, or gone again
   if (const auto before = connections_.find(fd); before != connections_.end()) {
-    if (before->second.cookie == connection.cookie) return;
+    if (before->second.cookie == cookie) return;
     count_left(before->second);
     connections_.erase(before);
   }
-  connection.address = address_of(fd);
-  if (connection.address.empty() || connection.cookie == 0) return;  // over ipc, or gone again
-  connection.own = FileDescriptor(::fcntl(fd, F_DUPFD_CLOEXEC, 0));
-  if (cookie_of(connection.own.get()) != connection.cookie) return;  // gone, or no descriptor is left: nobody reads it
-  const int none = 0;  // the door's, which it has inherited in the moment in which that was shut
-  ::setsockopt(connection.own.get(), SOL_SOCKET, SO_DETACH_FILTER, &none, sizeof(none));
+  Connection connection{.held = HeldConnection::of(fd), .cookie = cookie, .address = address};
+  if (connection.held.cookie() != cookie) {
+    // It is gone, or there is no descriptor left for it: what nobody looks at may not stay.
+    if (cookie_of(fd) == cookie) HeldConnection::shut(fd);
+    return;
+  }
+  connection.held.detach_filter();
   connection.since_ns = connection.heard_ns = now_ns();
   if (limits_.bytes_per_s > 0) connection.bytes = TokenBucket(limits_.bytes_per_s, limits_.burst_bytes);
   ++counts_.accepted;
@@ -223,7 +199,7 @@ std::uint64_t ConnectionGuard::sweep(std::int64_t now) {
   if (drained) left_ = std::exchange(left_lately_, 0);
   tend_door();
   const bool check_keys = allowed_ && now >= next_key_check_ns_;
-  if (check_keys) next_key_check_ns_ = now + second;
+  if (check_keys) next_key_check_ns_ = now + to_ns(1);
   Unread unread, before_first;
   for (auto entry = connections_.begin(); entry != connections_.end();) {
     auto& [fd, connection] = *entry;
@@ -247,17 +223,16 @@ std::uint64_t ConnectionGuard::sweep(std::int64_t now) {
        {std::pair(unread, limits_.all_unread_bytes), std::pair(before_first, limits_.all_first_unread_bytes)}) {
     if (limit == 0 || sum.all <= limit) continue;
     shut(connections_.at(sum.largest_fd),
-         fmt::format("all together hold {} bytes of unfinished messages, and it the most", sum.all));
+         fmt::format("all together hold {} bytes that were not read, and it the most", sum.all));
   }
   return unread.largest;
 }
 
 bool ConnectionGuard::look(Connection& connection, bool drained, std::int64_t now, std::string& why) {
   if (connection.closing) return true;
-  tcp_info info{};
-  socklen_t size = sizeof(info);
-  if (::getsockopt(connection.own.get(), IPPROTO_TCP, TCP_INFO, &info, &size) != 0) return true;
-  const std::uint64_t before = std::exchange(connection.received, info.tcpi_bytes_received);
+  const auto info = connection.held.info();
+  if (!info) return true;
+  const std::uint64_t before = std::exchange(connection.received, info->tcpi_bytes_received);
   if (connection.taken_lately) connection.heard_ns = now;
   if (drained && std::exchange(connection.taken_lately, false)) {
     // What came before the last look is in that message, or was in the queue behind it.
@@ -277,54 +252,14 @@ bool ConnectionGuard::look(Connection& connection, bool drained, std::int64_t no
     why = fmt::format("silent for {} s", limits_.silence_s);
   }
   // What is under way to a far reader says nothing about it: only what the kernel may not send does.
-  look_at_sent(connection, info.tcpi_bytes_acked, info.tcpi_notsent_bytes > 0, now, why);
+  look_at_sent(connection, info->tcpi_bytes_acked, info->tcpi_notsent_bytes > 0, now, why);
   return why.empty();
 }
 
-void ConnectionGuard::look_at_sent(Connection& connection, std::uint64_t acked, bool behind, std::int64_t now,
-                                   std::string& why) const {
-  connection.acked = acked;
-  if (!behind) {
-    connection.behind_since_ns = connection.sent_since_ns = 0;
-    return;
-  }
-  if (connection.behind_since_ns == 0) {
-    connection.behind_since_ns = connection.sent_since_ns = now;
-    connection.acked_when_behind = connection.acked_at_stall = acked;
-  }
-  if (limits_.stalled_s <= 0 || now - connection.sent_since_ns <= to_ns(limits_.stalled_s)) return;
-  const auto sent = static_cast<double>(acked - connection.acked_at_stall);
-  if (sent < limits_.min_sent_per_s * limits_.stalled_s && why.empty())
-    why = fmt::format("it read {} bytes in {} s", sent, limits_.stalled_s);
-  connection.sent_since_ns = now;
-  connection.acked_at_stall = acked;
-}
-
-std::string ConnectionGuard::holds_too_much(const Connection& connection, std::int64_t now) const {
-  if (connection.behind_since_ns == 0) return {};
-  const double held_s = static_cast<double>(now - connection.behind_since_ns) / static_cast<double>(second);
-  const auto sent = static_cast<double>(connection.acked - connection.acked_when_behind);
-  if (held_s < limits_.held_s) return {};
-  if (held_s < limits_.held_most_s && sent >= limits_.held_min_per_s * held_s) return {};
-  return fmt::format("it read {} bytes in {:.1f} s, and others wait", sent, held_s);
-}
-
-void ConnectionGuard::make_room(const std::vector<int>& for_descriptors) {
-  if (limits_.held_s <= 0) return;
-  const std::int64_t now = now_ns();
-  const std::scoped_lock lock(mutex_);
-  const bool waits = std::ranges::any_of(for_descriptors, [&](int fd) {
-    const auto found = connections_.find(fd);
-    return found != connections_.end() && !found->second.closing && found->second.behind_since_ns == 0;
-  });
-  if (!waits) return;
-  for (auto& [fd, connection] : connections_) {
-    if (const std::string why = holds_too_much(connection, now); !why.empty()) shut(connection, why);
-  }
-}
-
 void ConnectionGuard::count_left(Connection& connection) {
-  connection.received = std::max(connection.received, received_by(connection.own));
+  if (const auto info = connection.held.info()) {
+    connection.received = std::max<std::uint64_t>(connection.received, info->tcpi_bytes_received);
+  }
   left_lately_ += connection.unread();
   connection.read = connection.received;
 }
@@ -333,11 +268,8 @@ void ConnectionGuard::shut(Connection& connection, const std::string& why) {
   if (connection.closing) return;
   connection.closing = true;
   ++counts_.closed;
-  // No more of either direction, and a reset instead of what was still to be sent when libzmq closes it. libzmq gives
-  // back what was no whole message; the others wait for the owner as before.
-  const linger none{1, 0};
-  ::setsockopt(connection.own.get(), SOL_SOCKET, SO_LINGER, &none, sizeof(none));
-  ::shutdown(connection.own.get(), SHUT_RDWR);
+  // libzmq gives back what was no whole message; the others wait for the owner as before.
+  connection.held.shut();
   count_left(connection);
   if (limiter_.allow()) {
     spdlog::warn("{}: closed a connection from {} ({} so far): {}", name_, connection.address, counts_.closed, why);

@@ -15,6 +15,7 @@
 
 #include "bus/door.h"
 #include "bus/file_descriptor.h"
+#include "bus/held_connection.h"
 #include "bus/log_sink.h"
 #include "bus/token_bucket.h"
 
@@ -78,7 +79,7 @@ class ConnectionGuard {
 
  private:
   struct Connection {
-    FileDescriptor own;        ///< of the same connection, whatever libzmq does with its own
+    HeldConnection held;
     std::uint64_t cookie = 0;  ///< the kernel's name for the connection: a descriptor's number is soon another's
     std::string address, key;
     std::int64_t since_ns = 0, heard_ns = 0, sent_since_ns = 0, behind_since_ns = 0;
@@ -89,6 +90,7 @@ class ConnectionGuard {
 
     [[nodiscard]] std::uint64_t unread() const { return received - std::min(read, received); }
   };
+  static std::int64_t to_ns(double seconds) { return static_cast<std::int64_t>(seconds * 1e9); }
   void run(const std::stop_token& stop);
   void accept_events();
   void begin(int fd);
@@ -119,7 +121,7 @@ class ConnectionGuard {
   std::jthread thread_;
 };
 
-/// Raises this process's limit on descriptors as far as it may: slabs take two each, connections one.
+/// Raises this process's limit on descriptors as far as it may: slabs take two each, connections over tcp too.
 void raise_descriptor_limit();
 
 }  // namespace splatbus::bus

@@ -109,7 +109,7 @@ constexpr int remote_high_water_mark = 256;
 constexpr int linger_ms = 500;
 constexpr int reconnect_ms = 50;
 constexpr int reconnect_max_ms = 500;
-constexpr int connect_ms = 1000;  // who is not let in now is in a moment
+constexpr int connect_ms = 3000;  // who is not let in now may be in a moment
 
 }  // namespace
 

@@ -20,7 +20,8 @@ constexpr std::size_t max_first_bytes = std::size_t{32} << 20;
 constexpr std::size_t max_all_first_bytes = std::size_t{48} << 20;
 constexpr std::int64_t max_subscription_bytes = 1024;
 constexpr double subscription_bytes_per_s = 16384, subscription_burst_bytes = 262144;
-constexpr std::size_t max_left_subscription_bytes = std::size_t{8} << 20;
+constexpr std::size_t max_all_subscription_bytes = std::size_t{32} << 20,
+                      max_left_subscription_bytes = std::size_t{8} << 20;
 constexpr double reader_stalled_s = 3, reader_min_bytes_per_s = 65536;
 // While others wait for room: what a reader with 16 Mbit/s takes, and when even a model of 148 MB has been with one on
 // 100 Mbit/s.
@@ -81,6 +82,7 @@ void Relay::guard_tcp(const BrokerOptions& options) {
       "writers over tcp");
   readers_guard_.emplace(zmq_, remote_.xpub,
                          bus::ConnectionLimits{.unread_bytes = static_cast<std::size_t>(subscription_burst_bytes),
+                                               .all_unread_bytes = max_all_subscription_bytes,
                                                .all_left_bytes = max_left_subscription_bytes,
                                                .bytes_per_s = subscription_bytes_per_s,
                                                .burst_bytes = subscription_burst_bytes,

@@ -15,7 +15,7 @@ namespace splatbus::viewer {
 namespace {
 
 constexpr int kQueuedMessages = 64;
-constexpr int kConnectMs = 1000, kHandshakeMs = 3000;
+constexpr int kConnectMs = 3000, kHandshakeMs = 3000;
 
 std::span<const std::uint8_t> bytes_of(const zmq::message_t& message) {
   return {static_cast<const std::uint8_t*>(message.data()), message.size()};

@@ -76,7 +76,7 @@ class HostilePipeline : public testing::Test {
     for (const auto* process : {bus_.get(), streamer_.get()}) {
       EXPECT_GT(resident_bytes(process->pid()), 0U) << "it has ended";
       EXPECT_LT(resident_bytes(process->pid()), before_.at(at++) + growth);
-      EXPECT_TRUE(eventually([&] { return open_descriptors(process->pid()) < 400; }));
+      EXPECT_TRUE(eventually([&] { return open_descriptors(process->pid()) < 2 * 256 + 144; }));
     }
     EXPECT_LT(std::filesystem::file_size(log("bus")) + std::filesystem::file_size(log("streamer")), 16 * kMiB);
     EXPECT_LT(good_->longest_gap_s(), 3.0) << "it is told something every second";

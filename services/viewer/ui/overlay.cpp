@@ -7,6 +7,7 @@
 #include <imgui.h>
 
 #include <algorithm>
+#include <cfloat>
 #include <cmath>
 #include <deque>
 #include <vector>
@@ -17,6 +18,7 @@ namespace splatbus::viewer {
 namespace {
 
 constexpr float kFontPixels = 13;  // of ImGui's own font, which is sharp at its multiples
+constexpr float kRepeatDelay_s = 0.25F;
 constexpr ImGuiWindowFlags kPanel = ImGuiWindowFlags_NoDecoration | ImGuiWindowFlags_NoInputs | ImGuiWindowFlags_NoNav |
                                     ImGuiWindowFlags_AlwaysAutoResize | ImGuiWindowFlags_NoFocusOnAppearing |
                                     ImGuiWindowFlags_NoBringToFrontOnFocus;
@@ -73,6 +75,8 @@ class ImGuiOverlay final : public Overlay {
 
   std::vector<Action> draw(OverlayContent& content) override {
     pass_keys();
+    // A key is held for a picture more while others wait for theirs: that is no repetition.
+    ImGui::GetIO().KeyRepeatDelay = keys_.empty() ? kRepeatDelay_s : FLT_MAX;
     ImGui_ImplOpenGL3_NewFrame();
     ImGui_ImplGlfw_NewFrame();
     ImGui::NewFrame();
