@@ -67,7 +67,7 @@ Endpoint::Endpoint(const std::vector<std::string>& endpoints, const EndpointOpti
                  bus::ConnectionLimits{.unread_bytes = kUnreadBytes,
                                        .first_unread_bytes = kFirstUnreadBytes,
                                        .all_unread_bytes = 8 * kUnreadBytes,
-                                       .all_left_bytes = 8 * kUnreadBytes,
+                                       .all_left_bytes = 2 * kUnreadBytes,
                                        .bytes_per_s = kBytesPerSecond,
                                        .burst_bytes = 4 * kBytesPerSecond,
                                        .greeting_s = kGreetingSeconds,

@@ -22,7 +22,11 @@ using bus_test::eventually;
 using namespace std::chrono_literals;
 
 constexpr auto kAttack = 2s;
+#ifdef __SANITIZE_ADDRESS__
+constexpr std::size_t kGrowth = 128 * kMiB;  // with what lies about each piece of memory, and what is kept of the freed
+#else
 constexpr std::size_t kGrowth = 64 * kMiB;
+#endif
 
 /// Says hello until it is welcomed, and a pose each 100 ms; remembers the longest time in which nothing came.
 class GoodViewer {
