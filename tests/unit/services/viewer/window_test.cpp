@@ -132,7 +132,7 @@ TEST_F(WindowTest, AKeyHeldDuringALongPictureCountsOnce) {
   Display::act("keyup Down");
   viewer_->send(SIGCONT);
   EXPECT_TRUE(soon([&] { return !differ(display_->screen()(kMenu), second); }));
-  std::this_thread::sleep_for(1s);
+  std::this_thread::sleep_for(1s);  // as long as repetitions that wait would take
   EXPECT_FALSE(differ(display_->screen()(kMenu), second));
 }
 
