@@ -132,13 +132,13 @@ void add_bush(const Site& site, float radius, Draw& draw) {
 void add_trees(WorldBuilder& builder) {
   const WorldPlan& plan = builder.plan;
   // One try in each cell of a grid: gardens and park have few, the rim many.
-  constexpr float kCell_m = 6.2F;
-  const int cells = static_cast<int>(2 * WorldPlan::kHalf_m / kCell_m);
+  constexpr float kTreeCell_m = 6.2F;
+  const int cells = static_cast<int>(2 * WorldPlan::kHalf_m / kTreeCell_m);
   for (int i = 0; i < cells * cells; ++i) {
     Draw draw(plan.seed + 91, static_cast<std::uint32_t>(i));
     const glm::vec2 p =
-        -WorldPlan::kHalf_m +
-        kCell_m * (glm::vec2(i % cells, i / cells) + glm::vec2(draw.between(0.15F, 0.85F), draw.between(0.15F, 0.85F)));
+        -WorldPlan::kHalf_m + kTreeCell_m * (glm::vec2(i % cells, i / cells) +
+                                             glm::vec2(draw.between(0.15F, 0.85F), draw.between(0.15F, 0.85F)));
     if (plan.zone(p) != Zone::Lawn) continue;
     const bool rim = std::max(std::abs(p.x), std::abs(p.y)) > WorldPlan::kHalf_m - 15;
     const bool park = plan.block(plan.park_x, plan.park_z).holds(p);
