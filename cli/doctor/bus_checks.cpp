@@ -22,7 +22,6 @@ namespace splatbus::cli {
 namespace {
 
 namespace fs = std::filesystem;
-using Verdict = Check::Verdict;
 constexpr double kPatienceS = 3;
 
 /// What to do about these, which speak another protocol. A successor is no process that could be restarted: the swap

@@ -17,7 +17,8 @@ struct Check {
   std::string found;
   std::string advice;  ///< what to do; empty where nothing is to be done
 };
-[[nodiscard]] const char* to_text(Check::Verdict verdict);
+using Verdict = Check::Verdict;
+[[nodiscard]] const char* to_text(Verdict verdict);
 
 // Each looks and changes nothing: no folder is made, no mode is mended, no port stays taken.
 

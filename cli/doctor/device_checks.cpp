@@ -11,8 +11,6 @@
 
 namespace splatbus::cli {
 
-using Verdict = Check::Verdict;
-
 Check check_gpu() {
   Check check{.name = "GPU"};
   const auto devices = query_gpus();

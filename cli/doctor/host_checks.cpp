@@ -20,7 +20,6 @@ namespace splatbus::cli {
 namespace {
 
 namespace fs = std::filesystem;
-using Verdict = Check::Verdict;
 
 constexpr std::uint64_t kMebibyte = std::uint64_t{1} << 20;
 constexpr std::uint64_t kSlabProbeBytes = 64 * kMebibyte;

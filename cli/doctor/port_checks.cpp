@@ -20,7 +20,6 @@ namespace splatbus::cli {
 namespace {
 
 namespace fs = std::filesystem;
-using Verdict = Check::Verdict;
 
 /// Inodes of the sockets that listen on the port.
 std::set<std::string> listening_inodes(std::uint16_t port) {

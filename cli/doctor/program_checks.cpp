@@ -11,7 +11,6 @@
 namespace splatbus::cli {
 
 namespace fs = std::filesystem;
-using Verdict = Check::Verdict;
 
 Check check_programs(const fs::path& folder) {
   int major = 0, minor = 0, patch = 0;

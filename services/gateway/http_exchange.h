@@ -104,7 +104,7 @@ inline asio::awaitable<bool> respond(Connection& connection, const Response& res
 inline asio::awaitable<void> finish(Connection& connection) {
   auto& lowest = connection.next_layer();
   lowest.expires_after(std::chrono::seconds(1));
-  if (connection.tls() != nullptr) co_await connection.tls()->async_shutdown(kNoThrow);
+  if (connection.tls() != nullptr) co_await connection.tls()->next_layer().async_shutdown(kNoThrow);
   beast::error_code ignored;
   lowest.socket().shutdown(asio::ip::tcp::socket::shutdown_send, ignored);
   std::array<char, 4096> rest;

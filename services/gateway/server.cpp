@@ -106,7 +106,8 @@ struct Server::Impl {
     }
     Tls secured(std::move(stream), *tls);
     beast::get_lowest_layer(secured).expires_after(seconds(options.limits.handshake_s));
-    if (const auto [error] = co_await secured.async_handshake(asio::ssl::stream_base::server, kNoThrow); !error) {
+    if (const auto [error] = co_await secured.next_layer().async_handshake(asio::ssl::stream_base::server, kNoThrow);
+        !error) {
       Connection whole(std::move(secured));
       co_await serve(std::move(whole), client);
     }

@@ -206,10 +206,10 @@ class WebLink final : public PacketLink {
       co_return std::string();
     }
     web::Tls tls(std::move(tcp), tls_);
-    tls.set_verify_callback(asio::ssl::host_name_verification(address_.host));
+    tls.next_layer().set_verify_callback(asio::ssl::host_name_verification(address_.host));
     const bool named = !is_address(address_.host);
-    if (named) SSL_set_tlsext_host_name(tls.native_handle(), address_.host.c_str());
-    const auto [distrusted] = co_await tls.async_handshake(asio::ssl::stream_base::client, kNoThrow);
+    if (named) SSL_set_tlsext_host_name(tls.next_layer().native_handle(), address_.host.c_str());
+    const auto [distrusted] = co_await tls.next_layer().async_handshake(asio::ssl::stream_base::client, kNoThrow);
     if (distrusted) co_return fmt::format("no TLS that can be trusted: {}", distrusted.message());
     connection.emplace(std::move(tls));
     co_return std::string();

@@ -76,9 +76,9 @@ TEST_F(ModelSaverTest, SavesTheShadowsOfLamps) {
 }
 
 TEST_F(ModelSaverTest, LogsWhatBecameOfItAtTheEnd) {
+  const bus_test::LogCapture log;  // no thread may log while loggers change
   start_streamer();
   trainer_.publish(stream::test::toy_model(1000, 1));
-  const bus_test::LogCapture log;
   {
     StreamReceiver receiver(client_options("one"));
     wait_for(receiver, [](const auto& shown) { return shown.gaussians == 1000; });
