@@ -29,7 +29,10 @@ void add_bus_option(CLI::App& verb, std::string& address) {
 }
 
 void add_backend_option(CLI::App& verb, std::string& backend) {
-  verb.add_option("--backend", backend, "default backend for services that set none: cpu, cuda or auto")
+  const bool swaps = verb.get_name() == "swap";  // which starts one process; the others launch services
+  verb.add_option("--backend", backend,
+                  swaps ? "backend of the new process: cpu, cuda or auto (default: that of the old one)"
+                        : "default backend for services that set none: cpu, cuda or auto")
       ->check(CLI::IsMember({"cpu", "cuda", "auto"}));
 }
 

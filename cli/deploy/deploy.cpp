@@ -101,7 +101,7 @@ int answers(const HealthOptions& options) {
                     .failures = 1};
   const ProbeRunner asking(probe);
   while (!asking.was_good() && !asking.fails()) std::this_thread::sleep_for(std::chrono::milliseconds(5));
-  if (!asking.was_good()) throw std::runtime_error(fmt::format("{} is not well", probe.target));
+  if (!asking.was_good()) throw std::runtime_error(fmt::format("{} is not healthy", probe.target));
   fmt::print("{} answers\n", probe.target);
   return 0;
 }

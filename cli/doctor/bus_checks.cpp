@@ -87,7 +87,7 @@ Check check_bus_folder(const bus::Address& bus) {
   if ((status.st_mode & 077U) == 0) return check;
   std::error_code ignored;
   if (!fs::is_empty(folder, ignored) && !fs::exists(folder + "/lock", ignored)) {
-    return fail("others may enter it, and it holds what is no bus's",
+    return fail("others may enter it, and it holds files that are not a bus's",
                 fmt::format("choose a folder of its own, or run: chmod 0700 {}", folder));
   }
   check.verdict = Verdict::Warn;

@@ -23,7 +23,7 @@ void change_launch(const ExploreRunOptions& options, const fs::path& pictures, L
   LaunchService* engine = file.find("engine");
   LaunchService* viewer = file.find("viewer");
   if (engine == nullptr || viewer == nullptr) {
-    throw LaunchError({file.path, 0, 0}, "there is no service 'engine' or no 'viewer'");
+    throw LaunchError({file.path, 0, 0}, "there is no service 'engine' or 'viewer'");
   }
   if (!options.scene.empty()) set_flag(engine->args, "--scene", options.scene);
   set_flag(engine->args, "--seed", std::to_string(setup.seed));

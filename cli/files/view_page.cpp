@@ -45,7 +45,7 @@ Launch launch_of(const splats::SplatFile& file, const PageOptions& options) {
   const auto gateway = settle_gateway(launch.file, options.port.value_or(kGatewayPort));
   if (!gateway) throw std::runtime_error(launch.file.path + ": no gateway");
   if (options.port && gateway->elsewhere) {
-    throw std::runtime_error(fmt::format("port {} is taken, or not to be had by this user", *options.port));
+    throw std::runtime_error(fmt::format("port {} is taken, or this user may not use it", *options.port));
   }
   launch.gateway = *gateway;
   if (!file.mip) apply_override(launch.file, "gateway.mip=false");

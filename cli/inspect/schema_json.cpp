@@ -154,7 +154,7 @@ Json SchemaJson::to_json(const bus::Message& message) {
   const auto& reflection = *reflection::GetSchema(known->binary.data());
   if (!flatbuffers::Verify(reflection, *reflection.objects()->LookupByKey(table.c_str()), message.bytes(),
                            message.size())) {
-    throw bus::Error(fmt::format("{}: is no valid {}", message.topic(), schema));
+    throw bus::Error(fmt::format("{}: not a valid {}", message.topic(), schema));
   }
   flatbuffers::Parser& parser = impl_->parser_of(*known);
   parser.root_struct_def_ = parser.LookupStruct(table);

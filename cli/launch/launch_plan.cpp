@@ -72,6 +72,15 @@ bool is_broker(const LaunchService& service) {
   return fs::path(service.program.value).filename() == kBrokerProgram;
 }
 
+/// What there is one of on a bus, in words, or null: a second one would be refused by the first, or undo its work.
+const char* singleton_of(const LaunchService& service) {
+  const std::string program = fs::path(service.program.value).filename();
+  if (program == kBrokerProgram) return "one broker";
+  if (program == "splatbus-trainer") return "one trainer, whose model it is";
+  if (program == "splatbus-expander") return "one expander, which knows what it has inserted";
+  return nullptr;
+}
+
 /// The broker has flags only, and what sends no heartbeat is no service of ours.
 bool takes_parameters(const LaunchService& service) {
   return !is_broker(service) && service.heartbeat_timeout_s > 0;
@@ -169,6 +178,10 @@ LaunchPlan plan_launch(const LaunchFile& file, const bus::Address& bus, const fs
   std::vector<LaunchProblem> problems;
   const auto place = [&](const LaunchService* service) {
     const fs::path program = find_program(*service, programs);
+    if (const char* const one = singleton_of(*service); one != nullptr && service->replicas > 1) {
+      throw LaunchError(service->mark, fmt::format("'{}' cannot have {} replicas: a bus has {}", service->name,
+                                                   service->replicas, one));
+    }
     if (!takes_parameters(*service) && !service->parameters.empty()) {
       throw LaunchError(service->parameters.begin()->second.mark,
                         fmt::format("'{}' takes no parameters: use 'args'", service->name));

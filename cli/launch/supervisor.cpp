@@ -7,6 +7,7 @@
 
 #include <algorithm>
 #include <csignal>
+#include <string_view>
 #include <utility>
 
 #include "wire/system_generated.h"
@@ -17,6 +18,11 @@ namespace {
 
 constexpr int kPollMs = 50;
 constexpr const char* kBrokerSource = "bus";
+
+/// Whether a line of a process's output may be the reason of its end; CLI11 says last how to get help.
+bool says_why(std::string_view line) {
+  return line.find_first_not_of(" \t") != std::string_view::npos && !line.starts_with("Run with --help");
+}
 
 }  // namespace
 
@@ -134,16 +140,22 @@ void Supervisor::wait_for_events() {
 }
 
 void Supervisor::pass_output(Process& process, bool rest) {
-  if (!process.life->child) return;
-  for (std::string& line : process.life->child->read_lines(rest)) output_({process.name, std::move(line), {}});
+  Life& life = *process.life;
+  if (!life.child) return;
+  for (std::string& line : life.child->read_lines(rest)) {
+    if (says_why(line)) life.last_line = line;
+    output_({process.name, std::move(line), {}});
+  }
 }
 
 void Supervisor::pass_beside_output(Process& process, bool rest) {
   if (!process.beside || !process.beside->life->child) return;
   Beside& beside = *process.beside;
   for (std::string& line : beside.life->child->read_lines(rest)) {
-    if (beside.last_lines.size() == kLinesKept) beside.last_lines.erase(beside.last_lines.begin());
-    beside.last_lines.push_back(line);
+    if (says_why(line)) {
+      if (beside.last_lines.size() == kLinesKept) beside.last_lines.erase(beside.last_lines.begin());
+      beside.last_lines.push_back(line);
+    }
     output_({beside.successor ? process.name + ".next" : process.name, std::move(line), {}});
   }
 }

@@ -129,6 +129,7 @@ class Supervisor {
     std::unique_ptr<ProbeRunner> readiness, liveness;
     void stop_probes() { readiness.reset(), liveness.reset(); }
     std::string service_state, detail;
+    std::string last_line;  ///< of its output that may say why it ended
     std::map<std::string, double> counters;
   };
   struct Beside {

@@ -144,6 +144,7 @@ void Supervisor::start_child(Life& life) {
   life.stop_probes();
   life.service_state.clear();
   life.detail.clear();
+  life.last_line.clear();
   life.counters.clear();
   auto environment = life.plan.environment;
   environment.emplace("SPLATBUS_SUPERVISED", "1");
@@ -226,7 +227,8 @@ std::int64_t Supervisor::bus_heard_until() const {
 
 void Supervisor::fail(Process& process, const std::string& reason, std::optional<ExitStatus> exit) {
   process.state = ProcessState::Failed;
-  process.life->detail = reason;
+  const std::string& said = process.life->last_line;
+  process.life->detail = exit && !said.empty() ? fmt::format("{}: {}", reason, said) : reason;
   {
     const std::scoped_lock lock(mutex_);
     failures_.emplace_back(process.name, reason);

@@ -168,9 +168,6 @@ Json scale(Operated& operated, const Json& request, const ControlServer::Tell& t
   const LaunchPlan plan = plan_launch(changed, operated.bus, program_directory());
   std::vector<std::pair<ProcessPlan, std::vector<std::string>>> additions;
   for (const ProcessPlan& process : plan.processes) {
-    if (process.broker && wanted > 1 && process.service == service_name) {
-      throw std::runtime_error("a bus has one broker");
-    }
     if (process.service != service_name || process.replica > wanted || there.contains(process.replica)) continue;
     additions.emplace_back(process, names_of(process.after, plan, all));
   }

@@ -17,7 +17,7 @@ Device memory_kind(std::uint32_t memory) {
     case SPLATBUS_MEMORY_CUDA:
       return bus::choose_backend("cuda");
     default:
-      throw bus::Error(fmt::format("{} is no memory", memory));
+      throw bus::Error(fmt::format("{} is not a kind of memory", memory));
   }
 }
 

@@ -52,7 +52,7 @@ std::string problem_of_radiance(std::span<const float> values, const char* name)
 
 std::string problem(const splatbus_light_source& source) {
   if (source.id == 0) return "0 is the sun";
-  if (source.kind > SPLATBUS_LIGHT_SPOT) return fmt::format("{} is no kind of light", source.kind);
+  if (source.kind > SPLATBUS_LIGHT_SPOT) return fmt::format("{} is not a kind of light", source.kind);
   if (!finite(source.intensity)) return "intensity is not finite";
   if (std::ranges::any_of(source.intensity, [](float value) { return value < 0; })) return "intensity is below 0";
   const bool directional = source.kind == SPLATBUS_LIGHT_DIRECTIONAL, spot = source.kind == SPLATBUS_LIGHT_SPOT;
@@ -66,7 +66,7 @@ std::string problem(const splatbus_light_source& source) {
   if (!std::isfinite(source.range_m) || source.range_m <= 0)
     return fmt::format("range_m is {}, not above 0", source.range_m);
   if (spot && !(source.cos_outer >= -1 && source.cos_outer < source.cos_inner && source.cos_inner <= 1)) {
-    return fmt::format("cos_outer {} and cos_inner {} are no cone", source.cos_outer, source.cos_inner);
+    return fmt::format("cos_outer {} and cos_inner {} do not make a cone", source.cos_outer, source.cos_inner);
   }
   return {};
 }
@@ -87,7 +87,7 @@ std::string problem(const splatbus_light& light) {
   if (std::string wrong = problem_of_radiance(light.background, "background"); !wrong.empty()) return wrong;
   if (light.source_count > 0 && light.sources == nullptr) return "light: sources is NULL";
   if (light.source_count > SPLATBUS_MAX_LIGHTS)
-    return fmt::format("light: {} sources, where {} are the most", light.source_count, SPLATBUS_MAX_LIGHTS);
+    return fmt::format("light: {} sources, at most {} are allowed", light.source_count, SPLATBUS_MAX_LIGHTS);
   std::vector<std::uint32_t> ids;
   for (const splatbus_light_source& source : std::span(light.sources, light.source_count)) {
     if (std::string wrong = problem(source); !wrong.empty()) return fmt::format("light {}: {}", source.id, wrong);
@@ -104,7 +104,7 @@ std::string problem_of_light_map(const splatbus_frame& frame) {
   if (frame.light_id == 0) return {};
   const std::span sources(frame.light.sources, frame.light.source_count);
   const auto source = std::ranges::find(sources, frame.light_id, &splatbus_light_source::id);
-  if (source == sources.end()) return fmt::format("light_id is {}, which is no light of the frame", frame.light_id);
+  if (source == sources.end()) return fmt::format("light_id is {}, which is not a light of the frame", frame.light_id);
   if (source->casts_shadow == 0) return fmt::format("light {} casts no shadow: it has no depth maps", frame.light_id);
   if (source->kind == SPLATBUS_LIGHT_DIRECTIONAL) return {};
   const std::uint32_t last = source->kind == SPLATBUS_LIGHT_POINT ? 5 : 0;
@@ -123,7 +123,7 @@ std::string problem(std::span<const splatbus_object> objects) {
     if (!std::isnormal(object.scale) || object.scale <= 0)
       return fmt::format("object {}: scale is {}, not above 0", object.id, object.scale);
     if ((object.flags & ~kAllObjectFlags) != 0)
-      return fmt::format("object {}: {:#x} are no flags of an object", object.id, object.flags);
+      return fmt::format("object {}: {:#x} are not flags of an object", object.id, object.flags);
     ids.push_back(object.id);
   }
   if (!std::ranges::is_sorted(ids)) std::ranges::sort(ids);
@@ -213,7 +213,7 @@ std::string problem(const splatbus_camera_request& request) {
     return fmt::format("camera {} (role {}): rate_hz is {}", camera.id, camera.role, request.rate_hz);
   }
   if (request.buffers == 0 || (request.buffers & ~kAllBuffers) != 0) {
-    return fmt::format("camera {} (role {}): {:#x} are no buffers", camera.id, camera.role, request.buffers);
+    return fmt::format("camera {} (role {}): {:#x} are not buffers", camera.id, camera.role, request.buffers);
   }
   return {};
 }
@@ -237,7 +237,7 @@ std::string problem(const splatbus_frame& frame) {
   }
   if (frame.object_count > 0 && frame.objects == nullptr) return "objects is NULL";
   if (frame.object_count > SPLATBUS_MAX_OBJECTS)
-    return fmt::format("{} objects, where {} are the most", frame.object_count, SPLATBUS_MAX_OBJECTS);
+    return fmt::format("{} objects, at most {} are allowed", frame.object_count, SPLATBUS_MAX_OBJECTS);
   return problem(std::span(frame.objects, frame.object_count));
 }
 

@@ -191,7 +191,7 @@ void EngineLoop::submit_drawn(std::uint64_t frame, const Drawn& drawn) {
     submit(drawn.frames);
     return;
   } catch (const std::exception& why) {
-    spdlog::warn("frame {}: of {} cameras one is refused: {}", frame, drawn.frames.size(), why.what());
+    spdlog::warn("frame {}: one of {} cameras is refused: {}", frame, drawn.frames.size(), why.what());
   }
   // What is wrong with one of them is not the others'; to send one twice does no harm.
   for (std::size_t i = 0; i < drawn.frames.size(); ++i) {

@@ -30,7 +30,8 @@ Rows rows_of(const tinygltf::Model& model, int index, int components) {
   }
   const int component_bytes = tinygltf::GetComponentSizeInBytes(static_cast<std::uint32_t>(accessor.componentType));
   if (component_bytes <= 0) fail(index, fmt::format("component type {} is unknown", accessor.componentType));
-  if (accessor.count > kMostRows) fail(index, fmt::format("{} rows, where {} are the most", accessor.count, kMostRows));
+  if (accessor.count > kMostRows)
+    fail(index, fmt::format("{} rows, at most {} are allowed", accessor.count, kMostRows));
 
   const std::string where = fmt::format("accessor {}", index);
   const tinygltf::BufferView& view = within(
@@ -83,7 +84,8 @@ std::vector<float> read_floats(const tinygltf::Model& model, int accessor, int c
       case TINYGLTF_COMPONENT_TYPE_SHORT:
         return std::max(static_cast<float>(load<std::int16_t>(at)) / 32767, -1.0F);
       default:
-        fail(accessor, fmt::format("component type {} is no float and no normalised integer", rows.component_type));
+        fail(accessor,
+             fmt::format("component type {} is neither a float nor a normalised integer", rows.component_type));
     }
   };
   std::vector<float> values;
@@ -109,7 +111,7 @@ std::vector<std::uint32_t> read_indices(const tinygltf::Model& model, int access
       case TINYGLTF_COMPONENT_TYPE_UNSIGNED_INT:
         return load<std::uint32_t>(at);
       default:
-        fail(accessor, fmt::format("component type {} is no unsigned integer", rows.component_type));
+        fail(accessor, fmt::format("component type {} is not an unsigned integer", rows.component_type));
     }
   };
   std::vector<std::uint32_t> values;

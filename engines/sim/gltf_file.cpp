@@ -24,7 +24,7 @@ bool decode_image(tinygltf::Image* image, const int index, std::string* error, s
     if (error != nullptr) *error += fmt::format("image {}: {}", index, what);
     return false;
   };
-  if (stbi_info_from_memory(bytes, size, &width, &height, &channels) == 0) return refuse("it is no PNG or JPEG");
+  if (stbi_info_from_memory(bytes, size, &width, &height, &channels) == 0) return refuse("not a PNG or JPEG");
   if (width < 1 || height < 1 || width > kGreatestImageSide || height > kGreatestImageSide) {
     return refuse(fmt::format("{} x {} pixels, where a side has at most {}", width, height, kGreatestImageSide));
   }
@@ -79,7 +79,7 @@ tinygltf::Model read_gltf_file(const std::string& path, const GltfLimits& limits
   const bool loaded = binary ? loader.LoadBinaryFromFile(&model, &error, &warning, path)
                              : loader.LoadASCIIFromFile(&model, &error, &warning, path);
   if (!warning.empty()) spdlog::warn("{}: {}", path, warning);
-  if (!loaded) throw std::runtime_error(error.empty() ? "it is no glTF file" : error);
+  if (!loaded) throw std::runtime_error(error.empty() ? "not a glTF file" : error);
   const std::set<std::string> supported{"KHR_materials_unlit", "KHR_materials_specular", "KHR_materials_ior"};
   for (const std::string& extension : model.extensionsRequired) {
     if (!supported.contains(extension))

@@ -53,7 +53,7 @@ void make_flat(Mesh& mesh) {
 std::size_t checked_rows(const tinygltf::Model& model, int accessor) {
   const std::size_t rows = item(model.accessors, accessor, "accessor").count;
   if (rows > kMostRows)
-    throw std::runtime_error(fmt::format("accessor {}: {} rows, where {} are the most", accessor, rows, kMostRows));
+    throw std::runtime_error(fmt::format("accessor {}: {} rows, at most {} are allowed", accessor, rows, kMostRows));
   return rows;
 }
 

@@ -52,7 +52,7 @@ splatbus_camera parse_pose(const std::string& text, std::uint32_t width, std::ui
       used = 0;
     }
     if (used == 0 || used != item.size() || !std::isfinite(value)) {
-      throw std::runtime_error(fmt::format("pose '{}': '{}' is no number", text, item));
+      throw std::runtime_error(fmt::format("pose '{}': '{}' is not a number", text, item));
     }
     values.push_back(value);
   }

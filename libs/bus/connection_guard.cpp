@@ -181,7 +181,7 @@ void ConnectionGuard::begin(int fd) {
   ++counts_.accepted;
   Connection& begun = connections_[fd] = std::move(connection);
   if (limits_.connections != 0 && connections_.size() > limits_.connections) {
-    return shut(begun, fmt::format("{} connections are all there may be", limits_.connections));
+    return shut(begun, fmt::format("more than {} connections", limits_.connections));
   }
   tend_door();
   if (!door_.open()) {
@@ -190,7 +190,7 @@ void ConnectionGuard::begin(int fd) {
   const auto of_address = std::count_if(connections_.begin(), connections_.end(),
                                         [&](const auto& entry) { return entry.second.address == begun.address; });
   if (limits_.of_one_address != 0 && static_cast<std::size_t>(of_address) > limits_.of_one_address) {
-    shut(begun, fmt::format("{} connections are all that one address may have", limits_.of_one_address));
+    shut(begun, fmt::format("more than {} connections from one address", limits_.of_one_address));
   }
 }
 
@@ -223,7 +223,7 @@ std::uint64_t ConnectionGuard::sweep(std::int64_t now) {
        {std::pair(unread, limits_.all_unread_bytes), std::pair(before_first, limits_.all_first_unread_bytes)}) {
     if (limit == 0 || sum.all <= limit) continue;
     shut(connections_.at(sum.largest_fd),
-         fmt::format("all together hold {} bytes that were not read, and it the most", sum.all));
+         fmt::format("all connections together hold {} unread bytes, and it holds the most", sum.all));
   }
   return unread.largest;
 }
@@ -242,7 +242,7 @@ bool ConnectionGuard::look(Connection& connection, bool drained, std::int64_t no
   const std::size_t limit =
       connection.taken || limits_.first_unread_bytes == 0 ? limits_.unread_bytes : limits_.first_unread_bytes;
   if (limit != 0 && unread > limit) {
-    why = fmt::format("{} bytes of a message without an end, or of more than is read", unread);
+    why = fmt::format("{} unread bytes: a message without an end, or more than is read", unread);
   } else if (limits_.bytes_per_s > 0 && connection.received > before &&
              !connection.bytes.take(static_cast<double>(connection.received - before), now)) {
     why = fmt::format("more than {} bytes a second", limits_.bytes_per_s);

@@ -21,7 +21,7 @@ constexpr std::int64_t cache_ns = 10'000'000'000;  // a slab nobody has used for
 std::string checked_source(std::string source) {
   bool good = !source.empty() && source.size() <= max_source_length;
   for (const char c : source) good = good && c > 0x20 && c < 0x7f;
-  if (!good) throw Error(fmt::format("'{}' is no name for a source on the bus", printable(source)));
+  if (!good) throw Error(fmt::format("'{}' is not a valid name for a source on the bus", printable(source)));
   return source;
 }
 

@@ -69,7 +69,7 @@ std::optional<ServerKeys> server_keys(const std::string& endpoint, const ServerK
   std::error_code ignored;
   if (!std::filesystem::exists(key, ignored)) {
     throw PermanentError(
-        fmt::format("{}: others than this machine can reach it, so it needs a key, and there is no {}: make one "
+        fmt::format("{}: other machines can reach it, so it needs a key, and there is no {}: make one "
                     "with 'splatbus keys new server'",
                     endpoint, key.string()));
   }
@@ -88,12 +88,13 @@ std::optional<ClientKeys> client_keys(const std::string& endpoint, const std::st
   if (file.empty() && server.empty()) {
     if (is_loopback(endpoint)) return std::nullopt;
     throw PermanentError(
-        fmt::format("{}: to speak to another machine takes a key (--key FILE or SPLATBUS_KEY) and that machine's "
+        fmt::format("{}: connecting to another machine requires a key (--key FILE or SPLATBUS_KEY) and that machine's "
                     "public key (--server-key or SPLATBUS_SERVER_KEY)",
                     endpoint));
   }
   if (file.empty() || server.empty())
-    throw PermanentError(fmt::format("{}: a key needs the server's, and it one", endpoint));
+    throw PermanentError(
+        fmt::format("{}: a key and the server's public key go together: set both or neither", endpoint));
   require_key(server, "the server's key");
   return ClientKeys{read_key_file(file), server};
 }

@@ -39,7 +39,7 @@ constexpr std::int64_t check_every_ns = 200'000'000;
 
 Key hex_of_z85(const char* z85) {
   std::array<std::uint8_t, key_bytes> bytes{};
-  if (zmq_z85_decode(bytes.data(), z85) == nullptr) throw Error("libzmq made a key that is none");
+  if (zmq_z85_decode(bytes.data(), z85) == nullptr) throw Error("libzmq made an invalid key");
   Key key;
   for (const std::uint8_t byte : bytes) key += fmt::format("{:02x}", byte);
   return key;
@@ -122,7 +122,7 @@ std::vector<AllowedKey> parse_allow_list(const fs::path& file, const std::string
 void require_key(const std::string& text, const std::string& what) {
   if (!is_key(text)) {
     throw Error(
-        fmt::format("{} '{}' is no key: expected {} hexadecimal digits", what, printable(text, 100), key_digits));
+        fmt::format("{} '{}' is not a key: expected {} hexadecimal digits", what, printable(text, 100), key_digits));
   }
 }
 
@@ -164,7 +164,7 @@ KeyPair read_key_file(const fs::path& file) {
   if (!is_key(keys.public_key) || !is_key(keys.secret_key) ||
       zmq_curve_public(derived.data(), z85_of_hex(keys.secret_key).c_str()) != 0 ||
       hex_of_z85(derived.data()) != keys.public_key) {
-    refuse(file, "it holds no pair of keys");
+    refuse(file, "it does not hold a pair of keys");
   }
   return keys;
 }
@@ -180,7 +180,7 @@ void write_allow_list(const fs::path& file, const std::vector<AllowedKey>& keys)
   std::string text =
       "# Who may connect over a network, and as what: NAME PUBLICKEY ROLES (view, steer, probe, control)\n";
   for (const auto& key : keys) {
-    if (!is_name(key.name)) throw Error(fmt::format("'{}' is no name for a key", printable(key.name)));
+    if (!is_name(key.name)) throw Error(fmt::format("'{}' is not a valid name for a key", printable(key.name)));
     require_key(key.public_key, key.name);
     if (!key.rights.any()) throw Error(fmt::format("'{}' is allowed nothing", key.name));
     text += fmt::format("{} {} {}\n", key.name, key.public_key, to_text(key.rights));

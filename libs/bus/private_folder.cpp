@@ -41,7 +41,7 @@ void require_own_endpoint(const std::string& endpoint, EndpointUse use) {
   if (!endpoint.starts_with(ipc_scheme)) return;
   const auto refuse = [&](const std::string& why) { throw Error(fmt::format("{}: {}", endpoint, why)); };
   const std::string path = endpoint.substr(ipc_scheme.size());
-  if (path.starts_with('@')) refuse("whose a name without a folder is cannot be said");
+  if (path.starts_with('@')) refuse("the owner of a name without a folder cannot be determined");
   const fs::path parent = fs::path(path).parent_path();
   const std::string folder = parent.empty() ? "." : parent.string();
   if (::mkdir(folder.c_str(), 0700) != 0 && errno != EEXIST) {
@@ -53,7 +53,7 @@ void require_own_endpoint(const std::string& endpoint, EndpointUse use) {
   if (is_link && status.st_uid != user && status.st_uid != 0) {
     refuse(fmt::format("its folder is a link of another user ({}), who may point it elsewhere", status.st_uid));
   }
-  if (::stat(folder.c_str(), &status) != 0 || !S_ISDIR(status.st_mode)) refuse("it is in no folder");
+  if (::stat(folder.c_str(), &status) != 0 || !S_ISDIR(status.st_mode)) refuse("it is not in a folder");
   const bool is_sticky = (status.st_mode & S_ISVTX) != 0 && (status.st_uid == 0 || status.st_uid == user);
   if (!is_sticky) {
     if (status.st_uid != user) refuse(fmt::format("its folder belongs to another user ({})", status.st_uid));
@@ -66,7 +66,7 @@ void require_own_endpoint(const std::string& endpoint, EndpointUse use) {
   if (!is_sticky) return;
   if (is_there && (status.st_mode & (S_IWGRP | S_IWOTH)) != 0) refuse("others may write to it");
   if (!is_there && use == EndpointUse::Connect) {
-    refuse("nobody is there yet, and anybody may come: its folder is everybody's");
+    refuse("nothing listens there yet, and anybody could: everybody may write to its folder");
   }
 }
 
@@ -74,9 +74,9 @@ void require_own_peer(int socket, const std::string& what) {
   ucred peer{};
   socklen_t size = sizeof(peer);
   if (::getsockopt(socket, SOL_SOCKET, SO_PEERCRED, &peer, &size) != 0) {
-    throw Error(fmt::format("{}: whose it is cannot be said: {}", what, std::strerror(errno)));
+    throw Error(fmt::format("{}: its owner cannot be determined: {}", what, std::strerror(errno)));
   }
-  if (peer.uid != ::geteuid()) throw Error(fmt::format("{}: process {} is another user's", what, peer.pid));
+  if (peer.uid != ::geteuid()) throw Error(fmt::format("{}: process {} belongs to another user", what, peer.pid));
 }
 
 }  // namespace splatbus::bus

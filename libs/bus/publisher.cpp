@@ -55,7 +55,7 @@ flatbuffers::Offset<wire::Header> Publisher::make_header(flatbuffers::FlatBuffer
                                                          std::string_view topic, std::string_view schema, bool latch,
                                                          const MessageInfo& info) const {
   if (topic.empty() || topic.size() > max_topic_bytes) {
-    throw Error(fmt::format("'{}' is no topic", printable(topic)));
+    throw Error(fmt::format("'{}' is not a valid topic", printable(topic)));
   }
   std::size_t payload_bytes = 0;
   const auto spans = place(topic, info, payload_bytes);
@@ -79,7 +79,8 @@ flatbuffers::Offset<wire::Header> Publisher::make_header(flatbuffers::FlatBuffer
 }
 
 std::uint64_t Publisher::publish_again(std::string_view topic, std::span<std::uint8_t> body, const Again& again) const {
-  if (topic.empty() || topic.size() > max_topic_bytes) throw Error(fmt::format("'{}' is no topic", printable(topic)));
+  if (topic.empty() || topic.size() > max_topic_bytes)
+    throw Error(fmt::format("'{}' is not a valid topic", printable(topic)));
   wire::Header& header = *flatbuffers::GetMutableRoot<wire::Envelope>(body.data())->mutable_header();
   if (header.source()->string_view() != context_->source()) {
     throw Error(fmt::format("{}: its source is '{}', not '{}'", topic, printable(header.source()->string_view()),

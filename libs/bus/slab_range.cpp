@@ -30,7 +30,8 @@ void SlabRange::append(std::shared_ptr<const Slab> slab) {
   };
   const std::size_t slab_bytes = slab_data_bytes(slab->descriptor());
   if (slab->descriptor().kind != device_) refuse(fmt::format("its memory is not that of {}", name_of(device_)));
-  if (slab_bytes % granularity_ != 0) refuse(fmt::format("{} bytes are no multiple of {}", slab_bytes, granularity_));
+  if (slab_bytes % granularity_ != 0)
+    refuse(fmt::format("{} bytes are not a multiple of {}", slab_bytes, granularity_));
   if (slab_bytes > reserved_ - bytes_) {
     refuse(fmt::format("{} bytes are reserved, {} taken", reserved_, bytes_));
   }

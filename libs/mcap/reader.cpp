@@ -41,7 +41,7 @@ Reader::Reader(std::filesystem::path path, const ReaderLimits& limits)
   try {
     size_ = static_cast<std::uint64_t>(status.st_size);
     if (size_ < kMagic.size() || !is_magic(read(0, kMagic.size()))) {
-      throw Error(fmt::format("{}: is not an MCAP file", path_.string()));
+      throw Error(fmt::format("{}: not an MCAP file", path_.string()));
     }
     read_header();
     if (read_summary()) return;
@@ -176,8 +176,8 @@ void Reader::check_indexes() const {
   std::uint64_t end = kMagic.size();
   const auto check = [&](Opcode opcode, std::uint64_t offset, std::uint64_t length) {
     if (offset < end || offset > data_end_ || length < kRecordHeaderBytes || length > data_end_ - offset) {
-      throw Error(
-          fmt::format("{}: the summary's place of it, {} bytes, cannot be", at(name_of(opcode), offset), length));
+      throw Error(fmt::format("{}: the summary gives it an impossible place, {} bytes long",
+                              at(name_of(opcode), offset), length));
     }
     end = offset + length;
   };

@@ -115,7 +115,7 @@ void PublishedModel::take_table(const bus::Message& message, const bus::TensorVi
   }
   table_ = reinterpret_cast<const PageTableHeader*>(memory);
   if (table_->magic != PageTableHeader::kMagic || table_->version != PageTableHeader::kVersion) {
-    reject(message, "its page table is none");
+    reject(message, "its page table is not one that this build reads");
   }
 }
 

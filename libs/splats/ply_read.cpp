@@ -130,7 +130,7 @@ SplatFile read_ply(std::istream& stream, const std::string& name, Axes axes) {
   const PlyHeader header = read_ply_header(stream, name, static_cast<std::size_t>(size));
   if (header.find("packed_position") != nullptr) {
     throw std::runtime_error(
-        fmt::format("{}: header: a compressed PLY of SuperSplat, which splat-transform makes a plain one of", name));
+        fmt::format("{}: header: a compressed PLY of SuperSplat; splat-transform converts it to a plain one", name));
   }
   const ParameterLayout layout{Appearance::Radiance, degree_from(header, name)};
   const std::vector<Column> columns = match_columns(header, layout, name);

@@ -60,7 +60,8 @@ Change apply_page(ReplicatedState& state, const wire::Page& body, std::span<cons
   if (before && before->version > body.version()) return change;
   const bool same = before && before->version == body.version();
   if (same && (before->count != body.count() || before->structure != body.structure())) {
-    throw StreamError(fmt::format("Page: {} at version {} is another than the held", body.page(), body.version()));
+    throw StreamError(
+        fmt::format("Page: {} at version {} differs from the one that is held", body.page(), body.version()));
   }
   const std::uint32_t held = before ? before->count : 0;
   const std::uint32_t more = body.count() - std::min(body.count(), held);

@@ -135,7 +135,7 @@ QuantizedGaussians decode_chunk(std::span<const std::uint8_t> payload, const Str
   if (!decoded.ok()) throw StreamError("Page: Draco: " + decoded.status().error_msg_string());
   const draco::PointCloud& cloud = *decoded.value();
   if (cloud.num_points() != count || cloud.num_attributes() != static_cast<int>(layout.attributes().size()) + 1) {
-    throw StreamError("Page: Draco decoded something else than was declared");
+    throw StreamError("Page: Draco decoded something other than what was declared");
   }
   QuantizedGaussians out(layout, count);
   int id = 0;

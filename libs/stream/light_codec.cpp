@@ -105,7 +105,7 @@ void read_source(ByteReader& reader, unsigned parts, QuantizedSource& source) {
   if (source.kind != LightKind::Spot) return;
   source.inner = read_steps(reader, source.inner, kMaxCosineSteps, what + ": its cone");
   source.outer = read_steps(reader, source.outer, kMaxCosineSteps, what + ": its cone");
-  if (source.inner <= source.outer) refuse(what + ": its cone is none");
+  if (source.inner <= source.outer) refuse(what + ": its cone is not valid");
 }
 
 }  // namespace

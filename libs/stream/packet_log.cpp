@@ -49,7 +49,7 @@ std::optional<LoggedMessage> PacketLogReader::next() {
   LoggedMessage message;
   const std::size_t packet = reader.u32(), payload = reader.u32();
   if (packet > kMaxPacketBytes || payload > kMaxPayloadBytes) {
-    throw std::runtime_error(fmt::format("{}: a message of {} and {} bytes: it is no log", path_, packet, payload));
+    throw std::runtime_error(fmt::format("{}: a message of {} and {} bytes: not a packet log", path_, packet, payload));
   }
   // Before there is memory for it.
   if (packet + payload + kLengths > left_) return std::nullopt;

@@ -104,7 +104,7 @@ void Replica::begin(const wire::Layout& body, std::uint64_t epoch) {
   if (epoch == 0) throw StreamError("Layout: no stream epoch");
   StreamLayout layout = StreamLayout::from_wire(body);
   if (epoch == this->epoch()) {
-    if (layout != held_->layout) throw StreamError("Layout: another than that of its epoch");
+    if (layout != held_->layout) throw StreamError("Layout: it differs from that of its epoch");
     return;
   }
   auto next = std::make_unique<ReplicatedState>();

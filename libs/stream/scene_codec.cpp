@@ -43,7 +43,7 @@ void read_object(ByteReader& reader, unsigned parts, QuantizedObject& object) {
   if (parts & (kAppears | kPosition)) read_position(reader, transform.position, "object", id);
   if (parts & (kAppears | kRotation)) {
     transform.rotation = reader.low_bytes(kRotationBytes);
-    if (!is_rotation(transform.rotation)) refuse(fmt::format("object {}: its rotation is none", id));
+    if (!is_rotation(transform.rotation)) refuse(fmt::format("object {}: its rotation is not valid", id));
   }
   if (parts & kScale) {
     transform.scale = read_steps(reader, transform.scale, kMaxScaleOctaves * kScaleStepsAnOctave,

@@ -114,7 +114,7 @@ void read_vanished(ByteReader& reader, std::vector<T>& items, const char* what) 
     if (is_gone) ++next;
     return is_gone;
   });
-  if (next != gone.end()) refuse(fmt::format("{} {} vanishes and is not there", what, *next));
+  if (next != gone.end()) refuse(fmt::format("{} {} vanishes, but is not there", what, *next));
 }
 
 /// Reads how many there are that appear or change, and for each its id and parts; `read` reads the parts into an item,
@@ -135,7 +135,8 @@ void read_changed(ByteReader& reader, std::vector<T>& items, std::size_t most, c
     const bool appears = (parts & kAppears) != 0, there = old != items.end() && old->id == id;
     if (parts == 0) refuse(fmt::format("{} {}: parts 0", what, id));
     if (appears == there) {
-      refuse(fmt::format("{} {} {}", what, id, appears ? "appears and is there" : "changes and is not there"));
+      refuse(
+          fmt::format("{} {} {}", what, id, appears ? "appears, but is already there" : "changes, but is not there"));
     }
     T item{};
     if (there) item = *old++;

@@ -112,7 +112,7 @@ LightSource source_from_wire(const wire::LightSource& source) {
   }
   if (out.kind == LightKind::Spot) {
     require(out.cos_outer >= -1 && out.cos_outer < out.cos_inner && out.cos_inner <= 1,
-            "cos_outer and cos_inner are no cone");
+            "cos_outer and cos_inner do not make a cone");
   }
   return out;
 }
@@ -197,7 +197,7 @@ Camera from_wire(const wire::Camera& camera) {
     refuse(fmt::format("camera.fx, fy ({}, {}) are not positive", camera.fx(), camera.fy()));
   }
   if (!(camera.near_m() >= 0 && camera.far_m() > camera.near_m())) {
-    refuse(fmt::format("camera.near_m, far_m ({}, {}) are no range of depths", camera.near_m(), camera.far_m()));
+    refuse(fmt::format("camera.near_m, far_m ({}, {}) are not a range of depths", camera.near_m(), camera.far_m()));
   }
   Camera out;
   out.id = camera.id();

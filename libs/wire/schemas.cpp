@@ -66,7 +66,7 @@ std::optional<TableSchema> find_schema(std::string_view header_schema) {
 TableSchema foxglove_schema(std::string_view table) {
   const std::string name(table);
   const auto found = find_in("foxglove/" + name.substr(name.find('.') + 1), name);
-  if (!found) throw std::out_of_range(name + ": none of schemas/foxglove");
+  if (!found) throw std::out_of_range(name + ": not a schema of schemas/foxglove");
   return *found;
 }
 

@@ -40,7 +40,7 @@ Manifest read_manifest(const std::filesystem::path& folder) {
   const std::size_t size = file.size();
   ManifestHeader header;
   if (size < sizeof(header) + sizeof(std::uint32_t) || size > sizeof(header) + kMaxNoteBytes + sizeof(std::uint32_t)) {
-    throw refuse(fmt::format("{} bytes are no manifest of a world", size));
+    throw refuse(fmt::format("{} bytes are not the manifest of a world", size));
   }
   std::vector<std::byte> bytes(size);
   if (!file.read(0, bytes)) throw refuse("it ends too early");

@@ -72,11 +72,11 @@ PageHeader read_page_header(std::span<const std::byte> payload, const ParameterL
   std::memcpy(&header, payload.data(), sizeof(header));
   if (header.count == 0 || header.count > kPageLanes || header.rows != model::used_rows(layout)) {
     throw WorldError(
-        fmt::format("{}: {} Gaussians of {} rows are no page of this world", what, header.count, header.rows));
+        fmt::format("{}: {} Gaussians of {} rows are not a page of this world", what, header.count, header.rows));
   }
   const auto state = static_cast<model::PageState>(header.state);
   if (state != model::PageState::Active && state != model::PageState::Frozen) {
-    throw WorldError(fmt::format("{}: {} is no state of a page that is kept", what, header.state));
+    throw WorldError(fmt::format("{}: {} is not the state of a page that is kept", what, header.state));
   }
   return header;
 }

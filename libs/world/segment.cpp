@@ -142,7 +142,7 @@ bool scan_segment(const File& file, std::uint32_t number, std::uint64_t world_id
       at = next == nullptr ? size : static_cast<std::size_t>(static_cast<const std::byte*>(next) - bytes.data());
       continue;
     }
-    if (at > legible) refuse(legible, fmt::format("{} bytes are no records", at - legible));
+    if (at > legible) refuse(legible, fmt::format("{} bytes are not records", at - legible));
     const auto payload = std::span<const std::byte>(bytes).subspan(at + sizeof(RecordHeader), header->length);
     const std::uint32_t crc = crc32_of(payload.data(), payload.size());
     const bool whole = crc == header->payload_crc;
@@ -152,7 +152,7 @@ bool scan_segment(const File& file, std::uint32_t number, std::uint64_t world_id
     visit({*header, at, whole, payload});
     at = legible = end;
   }
-  if (size > legible) refuse(legible, fmt::format("{} bytes are no records", size - legible));
+  if (size > legible) refuse(legible, fmt::format("{} bytes are not records", size - legible));
   return true;
 }
 

@@ -74,7 +74,7 @@ World::World(const fs::path& folder, const WorldOptions& options)
     }
     manifest_ = {.layout = options.layout, .note = options.note};
     if (::getrandom(&manifest_.world_id, sizeof(manifest_.world_id), 0) != sizeof(manifest_.world_id)) {
-      throw WorldError("the system has no random numbers");
+      throw WorldError("cannot read random bytes");
     }
   }
   const bool is_new = manifest_.epoch == 0;

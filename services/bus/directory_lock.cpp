@@ -17,6 +17,7 @@
 #include <utility>
 
 #include "bus/error.h"
+#include "bus/permanent_error.h"
 #include "bus/private_folder.h"
 
 namespace splatbus::bus_service {
@@ -43,7 +44,7 @@ bus::FileDescriptor unix_socket() {
   return socket;
 }
 
-/// Binds the folder's abstract name. Throws bus::Error when another broker of this user has it; another user who took
+/// Binds the folder's abstract name. Throws bus::PermanentError when another broker of this user has it; another user who took
 /// the name to be in the way is not minded.
 bus::FileDescriptor take_name(const std::string& directory) {
   const auto name = abstract_name(directory);
@@ -64,7 +65,7 @@ bus::FileDescriptor take_name(const std::string& directory) {
       return socket;
     }
   }
-  throw bus::Error(fmt::format("bus folder {}: a broker runs there already (process {})", directory, holder.pid));
+  throw bus::PermanentError(fmt::format("bus folder {}: a broker runs there already (process {})", directory, holder.pid));
 }
 
 }  // namespace
@@ -76,7 +77,7 @@ DirectoryLock::DirectoryLock(std::string directory) : path_(std::move(directory)
   file_ = bus::FileDescriptor(::open(path_.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0600));
   if (!file_.valid()) throw bus::Error(fmt::format("{}: cannot open it: {}", path_, std::strerror(errno)));
   if (::flock(file_.get(), LOCK_EX | LOCK_NB) != 0) {
-    throw bus::Error(
+    throw bus::PermanentError(
         fmt::format("bus folder {}: a broker runs there already (process {})", folder, read_holder(file_.get())));
   }
   const auto pid = fmt::format("{}", ::getpid());

@@ -11,7 +11,8 @@ namespace splatbus::bus_service {
 /// file system, since a folder that was removed takes its file along.
 class DirectoryLock {
  public:
-  /// Throws bus::Error naming the folder: it cannot be made, is another user's, or another broker holds it.
+  /// Throws bus::Error naming the folder: it cannot be made, or is another user's; PermanentError: another broker
+  /// holds it.
   explicit DirectoryLock(std::string directory);
 
   /// False once the folder, or the lock in it, has been removed: whoever comes does not find this broker.

@@ -11,19 +11,19 @@ using Limits = bus::HeartbeatLimits;
 
 std::string too_long(const char* field, const flatbuffers::String* text, std::size_t limit) {
   if (text == nullptr || text->size() <= limit) return {};
-  return fmt::format("{} has {} bytes, where {} are the most", field, text->size(), limit);
+  return fmt::format("{} has {} bytes, at most {} are allowed", field, text->size(), limit);
 }
 
 std::string too_many(const char* field, std::size_t entries) {
   if (entries <= Limits::kEntries) return {};
-  return fmt::format("it has {} {}, where {} are the most", entries, field, Limits::kEntries);
+  return fmt::format("it has {} {}, at most {} are allowed", entries, field, Limits::kEntries);
 }
 
 }  // namespace
 
 std::string heartbeat_problem(const wire::Heartbeat& heartbeat, std::size_t body_bytes) {
   if (body_bytes > Limits::kBytes) {
-    return fmt::format("a heartbeat of {} bytes, where {} are the most", body_bytes, Limits::kBytes);
+    return fmt::format("a heartbeat of {} bytes, at most {} are allowed", body_bytes, Limits::kBytes);
   }
   std::string wrong = too_long("its source", heartbeat.header()->source(), Limits::kName);
   if (wrong.empty()) wrong = too_long("its service", heartbeat.service(), Limits::kName);

@@ -6,7 +6,9 @@
 #include <chrono>
 #include <condition_variable>
 #include <mutex>
+#include <stop_token>
 #include <string>
+#include <thread>
 
 #include "bus/broker.h"
 #include "bus/command_line.h"
@@ -34,6 +36,20 @@ splatbus::bus_service::BrokerOptions broker_options(const std::string& address, 
   return options;
 }
 
+/// One that ends just now, as after a supervisor's death, is waited for.
+void start(splatbus::bus_service::Broker& broker, const std::stop_source& stop) {
+  constexpr std::chrono::seconds patience(3);
+  const auto begun = std::chrono::steady_clock::now();
+  while (true) {
+    try {
+      return broker.start();
+    } catch (const splatbus::bus::PermanentError&) {
+      if (stop.stop_requested() || std::chrono::steady_clock::now() - begun > patience) throw;
+    }
+    std::this_thread::sleep_for(std::chrono::milliseconds(100));
+  }
+}
+
 int run(const splatbus::bus_service::BrokerOptions& options, const std::string& tcp, const std::string& log_level) {
   std::stop_source stop;
   const splatbus::bus::StopSignals signals(stop);
@@ -44,7 +60,7 @@ int run(const splatbus::bus_service::BrokerOptions& options, const std::string& 
 
   splatbus::bus::raise_descriptor_limit();
   splatbus::bus_service::Broker broker(options);
-  broker.start();
+  start(broker, stop);
   spdlog::info("bus on {}{}", options.address.text(), tcp.empty() ? "" : " and tcp://" + tcp);
 
   std::mutex mutex;

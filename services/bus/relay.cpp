@@ -214,7 +214,7 @@ void Relay::read_subscriptions(Side& side) {
     if (!side.local && readers_guard_) readers_guard_->took(event, event.size());
     if (event.size() > bus::max_topic_bytes + 1) {
       // libzmq keeps it all the same, for as long as the connection is there.
-      if (!side.local && readers_guard_) readers_guard_->close(event, "it subscribes to what is no topic");
+      if (!side.local && readers_guard_) readers_guard_->close(event, "it subscribes to something that is not a topic");
       continue;
     }
     if (event.empty()) continue;

@@ -103,7 +103,7 @@ std::optional<ForeignRound> read_round(const wire::SamplingRound& round, const b
     InputView view;
     view.camera = from_wire(*said->camera());
     view.light.background = from_wire(*said->background(), "background");
-    if (said->moment() >= states) throw bus::Error("sampling/round: a view of no instant");
+    if (said->moment() >= states) throw bus::Error("sampling/round: a view of an unknown instant");
     view.objects = moments[said->moment()];
     const Camera& first = read.views.empty() ? view.camera : read.views.front().camera;
     if (view.camera.width != first.width || view.camera.height != first.height) {

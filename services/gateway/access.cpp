@@ -66,7 +66,7 @@ void Tokens::read() {
   std::ifstream file(path_);
   if (!file || ::stat(path_.c_str(), &found) != 0) throw std::runtime_error(path_ + ": cannot be read");
   if ((found.st_mode & (S_IWGRP | S_IWOTH)) != 0) {
-    throw std::runtime_error(path_ + ": others than its owner may write to it (chmod 600)");
+    throw std::runtime_error(path_ + ": users other than its owner may write to it (chmod 600)");
   }
   std::vector<Entry> entries;
   std::string line;

@@ -53,7 +53,7 @@ inline std::vector<asio::ip::tcp::acceptor> bind(asio::io_context& io, const std
   for (const std::string& host : hosts) {
     beast::error_code error;
     const auto ip = asio::ip::make_address(host, error);
-    if (error) throw bus::PermanentError(fmt::format("http: '{}' is no address of a network interface", host));
+    if (error) throw bus::PermanentError(fmt::format("http: '{}' is not an address of a network interface", host));
     const tcp::endpoint endpoint(ip, port);
     tcp::acceptor acceptor(io);
     const auto listen = [&] {

@@ -73,7 +73,7 @@ void Options::bind(bus::ParameterBinder& p) {
 void check(const Options& options) {
   const auto address = parse_host_port(options.http);
   if (!address)
-    throw bus::Error(fmt::format("http: '{}' is no address and port, such as 127.0.0.1:7680", options.http));
+    throw bus::Error(fmt::format("http: '{}' is not an address and port, such as 127.0.0.1:7680", options.http));
   if (options.certificate.empty() != options.key.empty()) {
     throw bus::Error("'certificate' and 'key' go together: set both or neither");
   }

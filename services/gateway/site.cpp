@@ -226,7 +226,7 @@ std::string_view Site::audience() const {
 Response Site::page(const PageName& name, std::int64_t now_ns) {
   PageLibrary::Found found = pages_.page(name, now_ns);
   if (found.state == PageLibrary::State::Waits) return {.pending_s = kFetchS};
-  if (found.state == PageLibrary::State::Absent) return text(404, "no page that rests; /manifest names them\n");
+  if (found.state == PageLibrary::State::Absent) return text(404, "not a page that rests; /manifest names them\n");
   return {
       .fields = {{"ETag", found.etag}, {"Cache-Control", fmt::format("{}, max-age=31536000, immutable", audience())}},
       .type = "application/octet-stream",

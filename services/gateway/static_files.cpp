@@ -60,7 +60,7 @@ StaticFiles::StaticFiles(const std::string& folder) {
     bytes += entry.file_size();
     if (files_.size() == kMaxFiles || bytes > kMaxBytes) {
       throw std::runtime_error(
-          fmt::format("{}: more than {} files, or {} MB, are no page", folder, kMaxFiles, kMaxBytes >> 20U));
+          fmt::format("{}: more than {} files or {} MB, too much for a page", folder, kMaxFiles, kMaxBytes >> 20U));
     }
     std::ifstream stream(entry.path(), std::ios::binary);
     std::string text((std::istreambuf_iterator<char>(stream)), std::istreambuf_iterator<char>());

@@ -26,7 +26,7 @@ MapRing::Key MapRing::key_of(const wire::SceneLightDepth& depth) {
   const auto source = std::ranges::find(light.sources, depth.light_id(), &LightSource::id);
   const bool sun = depth.light_id() == 0;
   if (!sun && (source == light.sources.end() || !source->casts_shadow)) {
-    throw std::runtime_error(fmt::format("light {} is none that casts a shadow", depth.light_id()));
+    throw std::runtime_error(fmt::format("light {} is not one that casts a shadow", depth.light_id()));
   }
   if (depth.light_map() >= depth.light_maps() || depth.light_maps() > kMaxLightMaps) {
     throw std::runtime_error(fmt::format("map {} of {}", depth.light_map(), depth.light_maps()));

@@ -127,7 +127,7 @@ void Relight::take_scene(const wire::SceneState& scene, bool pictured) {
 void Relight::take_depth(const wire::SceneLightDepth& depth, const bus::Message& message) {
   const Camera camera = from_wire(*depth.camera());
   if (camera.role != CameraRole::Light) {
-    throw bus::Error(message.topic() + ": its camera is no light camera");
+    throw bus::Error(message.topic() + ": its camera is not a light camera");
   }
   const MapRing::Key key = MapRing::key_of(depth);
   take_scene(*depth.scene(), false);

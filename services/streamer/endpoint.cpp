@@ -202,7 +202,7 @@ std::optional<Endpoint::Received> Endpoint::parse(const Peer& peer, const std::v
                     .is_service = is_service};
   } catch (const std::exception& error) {
     ++malformed_;
-    if (log_limiter_.allow()) spdlog::warn("a viewer sent what is no packet: {}", error.what());
+    if (log_limiter_.allow()) spdlog::warn("a viewer sent something that is not a packet: {}", error.what());
     return std::nullopt;
   }
 }

@@ -121,7 +121,7 @@ stream::DeltaPacket read_delta(const wire::PageDelta& delta, const wire::SharePa
                          .steps = steps});
   }
   if (delta.gone()) {
-    if (delta.gone()->size() > stream::kMaxDeltaPages) refuse("more pages end than may be");
+    if (delta.gone()->size() > stream::kMaxDeltaPages) refuse("more pages end than are allowed");
     for (const wire::PageVersion* page : *delta.gone()) {
       require_page(page->page());
       out.gone.push_back({page->page(), page->version()});
@@ -131,7 +131,7 @@ stream::DeltaPacket read_delta(const wire::PageDelta& delta, const wire::SharePa
 }
 
 std::vector<wire::SeenPage> seen_pages(const wire::LightVisibility& visibility) {
-  if (visibility.pages()->size() > stream::kMaxDeltaPages) refuse("visibility of more pages than may be");
+  if (visibility.pages()->size() > stream::kMaxDeltaPages) refuse("visibility of more pages than are allowed");
   std::vector<wire::SeenPage> pages;
   for (const wire::SeenPage* page : *visibility.pages()) {
     require_page(page->page());
@@ -228,8 +228,8 @@ void read_packets(const wire::StreamShare& body, ShareMessage& message) {
 ShareMessage read_share(const wire::StreamShare& body) {
   ShareMessage message;
   const bool transfer = body.appearance() == wire::Appearance::Transfer;
-  if (body.appearance() > wire::Appearance::MAX || body.sh_degree() > 3) refuse("a layout that is none");
-  if (body.stream_epoch() != 0 && !is_mean_step(body.mean_step())) refuse("no step of means");
+  if (body.appearance() > wire::Appearance::MAX || body.sh_degree() > 3) refuse("an unknown layout");
+  if (body.stream_epoch() != 0 && !is_mean_step(body.mean_step())) refuse("an invalid step of means");
   if (body.version() >= kVersionBlocks * kVersionBlock) refuse(fmt::format("version {}", body.version()));
   message.place = {.epoch = body.stream_epoch(),
                    .layout = stream::StreamLayout({.appearance = transfer ? Appearance::Transfer : Appearance::Radiance,
@@ -245,7 +245,7 @@ ShareMessage read_share(const wire::StreamShare& body) {
   if (body.wants()) {
     if (body.wants()->size() > kMaxShareWants) refuse(fmt::format("{} wants", body.wants()->size()));
     for (const wire::ShareWant* want : *body.wants()) {
-      if (want->part() > wire::SharePart::MAX) refuse("a part that is none");
+      if (want->part() > wire::SharePart::MAX) refuse("an unknown part");
       require_page(want->page());
       message.wants.push_back({want->page(), want->part()});
     }

@@ -183,12 +183,12 @@ void ViewerHub::take_page_request(const Endpoint::Received& received, std::int64
 
 std::string ViewerHub::refusal_of(const std::string& address) const {
   if (viewers_.size() >= options_.max_viewers)
-    return fmt::format("{} viewers are all that are served", viewers_.size());
+    return fmt::format("no more than {} viewers are served", viewers_.size());
   if (address.empty()) return {};
   const auto its = static_cast<std::size_t>(
       std::ranges::count_if(viewers_, [&](const auto& entry) { return entry.second.address == address; }));
   if (its < options_.max_viewers_per_address) return {};
-  return fmt::format("{} viewers are all that one address has", its);
+  return fmt::format("no more than {} viewers are served at one address", its);
 }
 
 void ViewerHub::hello(const Endpoint::Received& received, std::int64_t now_ns) {

@@ -112,7 +112,7 @@ ReferenceReading ReferenceReader::read(const bus::Message& message, bool with_de
   reading.key = reference_key(message);
   if (reading.key.role != CameraRole::Reference && reading.key.role != CameraRole::Input) {
     throw bus::Error(message.topic() + ": a camera of role " + std::to_string(static_cast<int>(reading.key.role)) +
-                     " is no training view");
+                     " is not a training view");
   }
   reading.retire = reference.retire();
   if (reading.retire) return reading;

@@ -97,7 +97,7 @@ void Trainer::adopt_handover() {
     if (restored.refusal.empty()) {
       spdlog::info("goes on with the moments and ages of {} Gaussians", restored.gaussians);
     } else {
-      spdlog::warn("moments and ages begin anew, what was left is of no use: {}", restored.refusal);
+      spdlog::warn("moments and ages begin anew, as what was left cannot be used: {}", restored.refusal);
     }
     service_.counter("handed_over", static_cast<double>(restored.gaussians));
     service_.bus->drop_slab(kHandoverRole);

@@ -27,6 +27,7 @@ using namespace std::chrono_literals;
 constexpr auto kReceiveTimeout = 50ms;
 constexpr auto kPartPatience = 20s;
 constexpr int kMaxDrained = 512;
+constexpr auto kStopPeriod = 200ms;
 constexpr std::uint64_t kMaxVisibilities = std::uint64_t{1} << 26;
 
 /// What pictures may take: most of the memory is the model's.
@@ -55,6 +56,10 @@ void Trainer::run() {
   views_.set_keeps(options.kept_view_interval > 0);
   subscribe();
   if (!stand_by()) return;
+  // Where there is no broker yet, whoever makes a model waits for one and hears no signal meanwhile.
+  while (!service_.bus->wait_connected(kStopPeriod)) {
+    if (service_.stop.stop_requested()) return;
+  }
   open_store();
   // Whatever they are called: two that publish a model each would have all others follow now one, now the other.
   service_.bus->claim_part("model", successor_ ? kPartPatience : 0ms);

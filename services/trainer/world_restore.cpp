@@ -132,7 +132,7 @@ void WorldKeeper::restore() {
   mark_elsewhere(progress);
   store_.set_progress(progress.step, progress.views, progress.optimizer_s);
   spdlog::info("world: {} Gaussians at step {} from {}", store_.count(), store_.step(), parameters_.folder);
-  if (left > 0) spdlog::warn("world: {} more Gaussians stay in the folder, for there is no room", left);
+  if (left > 0) spdlog::warn("world: {} more Gaussians stay in the folder, as there is no room", left);
 }
 
 std::vector<std::uint32_t> WorldKeeper::put_in(Pages& pages, std::uint64_t next_gaussian_id) {

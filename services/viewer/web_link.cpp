@@ -234,7 +234,7 @@ class WebLink final : public PacketLink {
       co_return fmt::format("refused with {} {}", response.result_int(), std::string(response.reason()));
     }
     if (refused) co_return refused.message();
-    if (response[http::field::sec_websocket_protocol] != stream::kWebSubprotocol) co_return "no stream of ours";
+    if (response[http::field::sec_websocket_protocol] != stream::kWebSubprotocol) co_return "not a splatbus stream";
     co_return std::string();
   }
 

@@ -296,7 +296,7 @@ TEST(KeysOfABus, AreNeededToGetToAnotherMachine) {
   ::unsetenv("SPLATBUS_KEY");
   ::unsetenv("SPLATBUS_SERVER_KEY");
   EXPECT_THAT([] { bus::Context::create(bus::Address::parse("tcp://192.0.2.1:7000"), "somebody"); },
-              testing::ThrowsMessage<bus::Error>(HasSubstr("takes a key")));
+              testing::ThrowsMessage<bus::Error>(HasSubstr("requires a key")));
   bus_test::TemporaryDirectory directory;
   bus_service::BrokerOptions options{.address = directory.address()};
   options.tcp_host = "*";

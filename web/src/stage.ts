@@ -266,4 +266,13 @@ export class Stage {
     this.#still.take(this.#canvas, atRest, counts);
     return true;
   }
+
+  /** The same, up to the picture's end on the GPU. No still is kept, for it may take longer than the picture. */
+  async drawToEnd(frame: Frame): Promise<boolean> {
+    const renderer = this.#renderer;
+    if (!renderer || !this.#fed) return false;
+    renderer.draw(frame);
+    await renderer.finish();
+    return this.#renderer === renderer && !renderer.isLost;
+  }
 }

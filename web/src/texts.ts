@@ -1,4 +1,6 @@
 // Every text that a person reads.
+import type { BenchFigures } from './bench';
+
 const pages = (count: number): string => (count === 1 ? '1 page' : `${count} pages`);
 
 export const texts = {
@@ -29,7 +31,7 @@ export const texts = {
   download: 'Download the model',
   downloading: 'The model is being fetched.',
   serverSilent: 'The server does not answer.',
-  downloadFailed: 'The server gives no such file now.',
+  downloadFailed: 'The server does not offer this file now.',
   compare: 'Compare',
   compareSlider: 'How much of the picture is of splats; the rest is the engine\'s own',
   comparing: 'Hold still: the engine draws this view.',
@@ -105,7 +107,7 @@ export const texts = {
     answer: 'the graphics driver does not answer',
     canvas: 'WebGPU cannot draw to the page',
     lost: 'the graphics device was lost',
-    headset: 'there is none',
+    headset: 'no headset was found',
   },
   workerLost: 'The stream had to be started again.',
   tooLarge: (seconds: number) =>
@@ -113,7 +115,10 @@ export const texts = {
   /** Negative: nobody knows yet how much. */
   benchWaiting: (missing: number) => `Measuring begins once the scene is there${missing > 0 ? `; missing: ${pages(missing)}` : ''}.`,
   benchRunning: (part: number) => `Measuring: ${Math.round(100 * part)} %`,
-  benchDone: (fps: number, ms: number) => `${fps.toFixed(1)} frames/s, ${ms.toFixed(1)} ms in the middle.`,
+  benchDone: (shown: BenchFigures, drawn: BenchFigures) =>
+    `${shown.framesPerSecond.toFixed(1)} frames/s on this display, ${shown.medianMs.toFixed(1)} ms in the middle. ` +
+    `Drawing one takes ${drawn.medianMs.toFixed(2)} ms in the middle, 99 of 100 at most ${drawn.p99Ms.toFixed(2)} ms: ` +
+    `${drawn.framesPerSecond.toFixed(1)} frames/s.`,
   benchPosted: 'The figures were sent to the server.',
   benchKept: 'The server did not take the figures.',
 } as const;

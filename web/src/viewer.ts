@@ -1,7 +1,7 @@
 import { KeptAddress } from './camera/address';
 import { Controls } from './camera/controls';
 import { Player } from './camera/player';
-import { Rig, viewOf } from './camera/rig';
+import { Rig, viewOf, type Pose } from './camera/rig';
 import { BenchRun } from './bench';
 import type { ModelFile } from './download';
 import { Extras } from './extras';
@@ -64,7 +64,7 @@ export class Viewer {
   #rested = true;
   #redraw = true;
   readonly overview: Overview;
-  #bench: BenchRun;
+  readonly #bench: BenchRun;
   readonly extras: Extras;
   /** Pictures drawn since the page was opened. */
   frames = 0;
@@ -75,7 +75,6 @@ export class Viewer {
     root: HTMLElement,
     private readonly options: ViewerOptions,
   ) {
-    this.#bench = new BenchRun(options.bench, options.token);
     this.rig.smooth = !matchMedia('(prefers-reduced-motion: reduce)').matches;
     this.rig.speed = kSpeeds[options.settings.speed];
     this.#access = { socket: options.socket, token: options.token, budget: options.settings.budget };
@@ -89,6 +88,10 @@ export class Viewer {
         this.#redraw = true;
       },
     );
+    this.#bench = new BenchRun(options.bench, options.token, this.stage, {
+      told: () => ({ ...this.#drawn, gaussians: this.figures?.gaussians ?? 0 }),
+      drawToEnd: (pose) => this.#drawToEnd(pose),
+    });
     this.overview = new Overview(this.stage, this.rig, this.link);
     this.#status = new Status(this.stage, this.#pace, this.#access, options.settings);
     this.extras = new Extras(this.stage, this.rig, this.link, this.#access, {
@@ -159,7 +162,7 @@ export class Viewer {
   /** Somebody has another one now: it is connected anew. */
   useToken(token: string | null): void {
     this.#access.token = token;
-    if (this.#bench.asked) this.#bench = new BenchRun(this.options.bench, token);
+    this.#bench.token = token;
     this.link.start();
   }
 
@@ -173,7 +176,7 @@ export class Viewer {
     }
     if (this.#steered || this.#player.following) this.overview.end();
     this.overview.advance(seconds);
-    const flown = this.#bench.at(nowMs / 1000, () => this.#benchContext());
+    const flown = this.#bench.at(nowMs / 1000);
     if (flown) this.rig.jump(flown);
     if (flown || this.#player.goAlong(this.stage.sceneAt(nowMs), this.rig)) this.#movedMs = nowMs;
     this.#goal = this.rig.goal;
@@ -184,7 +187,7 @@ export class Viewer {
     this.#announce(view, nowMs);
     this.#draw(view, nowMs);
     this.extras.comparison.advance(nowMs, view, this.stage.standing && nowMs - this.#movedMs > kSettleMs);
-    if (this.#status.show(nowMs, this.#drawn.resolution, this.#bench.text(nowMs / 1000, this.figures?.missing ?? -1))) {
+    if (this.#status.show(nowMs, this.#drawn.resolution, this.#bench.text(this.figures?.missing ?? -1))) {
       this.#menu.offerPlayer(this.stage.scene.player > 0, this.#player.following);
     }
     if (this.#steered && !this.#bench.flying && nowMs - this.#movedMs > kSettleMs) this.#address.keep(nowMs, this.rig.goal);
@@ -216,7 +219,7 @@ export class Viewer {
     const moving = nowMs === this.#movedMs || nowMs === this.#changedMs || this.stage.movingAt(nowMs);
     this.#stillTurns = moving ? 0 : this.#stillTurns + 1;
     const settled = this.#stillTurns >= kSettleTurns && nowMs - Math.max(this.#movedMs, this.#changedMs) > kSettleMs;
-    if (!this.stage.renderer || (!moving && !resized && !this.#redraw && !(settled && !this.#rested))) return;
+    if (!this.stage.renderer || this.#bench.draws || (!moving && !resized && !this.#redraw && !(settled && !this.#rested))) return;
     this.#redraw = false;
     this.#drawn = { width: view.width, height: view.height, resolution };
     this.#rested = settled;
@@ -226,6 +229,18 @@ export class Viewer {
     if (this.firstPictureMs === 0) this.firstPictureMs = performance.now();
     if (moving) this.#pace.drawn(nowMs);
     else this.#pace.rest();
+  }
+
+  /** From where a flight is, as of the last turn of the display. */
+  #drawToEnd(pose: Pose): Promise<boolean> {
+    this.rig.jump(pose);
+    this.#goal = this.rig.goal;
+    const nowMs = (this.#movedMs = this.#lastMs);
+    const view = this.#view();
+    this.#announce(view, nowMs);
+    const resolution = this.#resolution(nowMs);
+    this.#bench.drawn(resolution);
+    return this.stage.drawToEnd(this.#frame(view, resolution, nowMs));
   }
 
   #frame(view: View, resolution: number, nowMs: number): Frame {
@@ -262,19 +277,6 @@ export class Viewer {
     } else if (message.kind === 'picture') {
       void this.extras.comparison.hear(message.picture);
     }
-  }
-
-  #benchContext(): object {
-    const { width, height } = this.#view();
-    return {
-      api: this.stage.renderer?.api ?? 'none',
-      width,
-      height,
-      gaussians: this.figures?.gaussians ?? 0,
-      resolution: this.#drawn.resolution,
-      sortMs: this.stage.sortMs ?? 0,
-      browser: navigator.userAgent,
-    };
   }
 
   #settingsChanged(): void {

@@ -102,6 +102,56 @@ test('an engine whose clock is behind is followed as the first was', () => {
   assert.ok(Math.hypot(at[15] - truth[15], at[23] - truth[23]) < 0.01);
 });
 
+/** A world that stands, and an object a metre beside it, so large, that has turned by `angle` about an axis that leans. */
+const spun = (angle, size = 1) => {
+  const [c, s] = [Math.cos(angle), Math.sin(angle)];
+  const lean = (x, y, z) => [0.8 * x - 0.6 * y, 0.6 * x + 0.8 * y, z].map((value) => size * value);
+  const [x, y, z] = [lean(c, 0, -s), lean(0, 1, 0), lean(s, 0, c)];
+  return new Float32Array([...ball(0).slice(0, 12), ...[0, 1, 2].flatMap((row) => [x[row], y[row], z[row], row === 0 ? 1 : 0])]);
+};
+const columnsOf = (transforms) => [0, 1, 2].map((k) => [12, 16, 20].map((row) => transforms[row + k]));
+
+for (const rate of [5, 10]) {
+  test(`an object that spins under an engine of ${rate} scenes a second keeps its size, and turns evenly, also beyond the last one`, () => {
+    const playout = new logic.Playout();
+    const turned = (ms) => (2 * Math.PI * ms) / 1000;
+    let next = 0;
+    let between = 0;
+    let beyond = 0;
+    for (let now = 0; now < 3400; now += 1000 / 144) {
+      for (; (1000 * next) / rate <= Math.min(now, 3000); ++next) {
+        const ms = (1000 * next) / rate;
+        playout.add(sceneOf(spun(turned(ms))), { captureMs: 1000 + ms, arrivedMs: ms });
+      }
+      if (next < 3) continue;
+      const at = columnsOf(playout.at(now).transforms);
+      const shown = playout.shownMs(now) - 1000;
+      for (const column of at) assert.ok(Math.abs(Math.hypot(...column) - 1) < 1e-4, `${Math.hypot(...column)} long at ${shown} ms`);
+      const truth = columnsOf(spun(turned(shown)));
+      at.flat().forEach((value, k) => assert.ok(Math.abs(value - truth.flat()[k]) < 1e-4, `${at} is not ${truth} at ${shown} ms`));
+      shown > (1000 * (next - 1)) / rate ? ++beyond : ++between;
+    }
+    assert.ok(between > 300 && beyond > 5, `${between} between, ${beyond} beyond`);
+  });
+}
+
+test('an object turns the shorter way, and grows evenly; one that is sheared or mirrored goes straight', () => {
+  const halfWay = (from, to) => {
+    const playout = new logic.Playout();
+    for (const [transforms, captureMs] of [[from, 1000], [to, 1100]]) playout.add(sceneOf(transforms), { captureMs, arrivedMs: captureMs });
+    return playout.at(1150).transforms; // a scene lasts 100 ms
+  };
+  const near = (at, truth) => at.forEach((value, k) => assert.ok(Math.abs(value - truth[k]) < 1e-6, `${at} is not ${truth}`));
+  near(halfWay(spun(-1), spun(1, 3)), spun(0, 2));
+  near(halfWay(spun(3, 2), spun(-3, 2)), spun(Math.PI, 2));
+  const straight = (a, b) => a.map((value, k) => (value + b[k]) / 2);
+  for (const changed of [{ 13: 0.5 }, { 12: -0.8, 16: -0.6 }]) {
+    const other = Object.assign(spun(0), changed);
+    near(halfWay(other, spun(1)), straight(other, spun(1)));
+    near(halfWay(spun(1), other), straight(other, spun(1)));
+  }
+});
+
 test('what is hidden does not come from where it was', () => {
   const playout = new logic.Playout();
   const hidden = ball(0).fill(0, 12);

@@ -57,7 +57,7 @@ FileDescriptor export_allocation(const Driver& driver, CUmemGenericAllocationHan
   driver.check(driver.export_handle(&fd, allocation, handle_type, 0), in_slab(slab, "exporting its memory"));
   FileDescriptor result(fd);
   // A child of this process would keep the memory for as long as it runs.
-  if (::fcntl(fd, F_SETFD, FD_CLOEXEC) != 0) throw Error(in_slab(slab, "its descriptor is not one"));
+  if (::fcntl(fd, F_SETFD, FD_CLOEXEC) != 0) throw Error(in_slab(slab, "its descriptor is not valid"));
   return result;
 }
 

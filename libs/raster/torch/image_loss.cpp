@@ -33,7 +33,7 @@ class ImageLossFunction : public torch::autograd::Function<ImageLossFunction> {
   }
 
   static variable_list backward(AutogradContext* context, const variable_list& gradients) {
-    TORCH_CHECK(!at::GradMode::is_enabled(), "image_loss: there is no second derivative, as create_graph asks for");
+    TORCH_CHECK(!at::GradMode::is_enabled(), "image_loss: there is no second derivative, which create_graph asks for");
     const Tensor of_loss = context->get_saved_variables()[0];
     return {of_loss * gradients[0].reshape({-1, 1, 1, 1}), Tensor(), Tensor()};
   }

@@ -100,7 +100,7 @@ class RasterizeFunction : public torch::autograd::Function<RasterizeFunction> {
   }
 
   static variable_list backward(AutogradContext* context, variable_list gradients) {
-    TORCH_CHECK(!at::GradMode::is_enabled(), "rasterize: there is no second derivative, as create_graph asks for");
+    TORCH_CHECK(!at::GradMode::is_enabled(), "rasterize: there is no second derivative, which create_graph asks for");
     const variable_list saved = context->get_saved_variables();
     const auto holder = context->saved_data["pass"].toCapsule();
     auto& pass = static_cast<RasterPass&>(*holder);

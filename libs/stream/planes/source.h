@@ -38,7 +38,7 @@ class Source {
     for (std::uint32_t& state : reader_.states) {
       state = reader_.word[0] | std::uint32_t{reader_.word[1]} << 16U;
       reader_.word += 2;
-      if (state >= kStateLow << 16U) refuse("a state that none begins with");
+      if (state >= kStateLow << 16U) refuse("an impossible first state");
     }
     const auto plain = parts.subspan(header + 2 * words);
     plain_bits_ = 8 * plain.size();

@@ -48,16 +48,16 @@ TEST(HeartbeatCheck, NamesWhatThereIsTooMuchOf) {
                         .key = 256,
                         .value = 4096}),
             "");
-  EXPECT_EQ(problem_of({.source = 65}), "its source has 65 bytes, where 64 are the most");
-  EXPECT_EQ(problem_of({.service = 65}), "its service has 65 bytes, where 64 are the most");
-  EXPECT_EQ(problem_of({.detail = 4097}), "its detail has 4097 bytes, where 4096 are the most");
-  EXPECT_EQ(problem_of({.backend = 65}), "its backend has 65 bytes, where 64 are the most");
-  EXPECT_EQ(problem_of({.counters = 1025}), "it has 1025 counters, where 1024 are the most");
-  EXPECT_EQ(problem_of({.counter_name = 257}), "the name of a counter has 257 bytes, where 256 are the most");
-  EXPECT_EQ(problem_of({.parameters = 1025}), "it has 1025 parameters, where 1024 are the most");
-  EXPECT_EQ(problem_of({.key = 257}), "the name of a parameter has 257 bytes, where 256 are the most");
-  EXPECT_EQ(problem_of({.value = 4097}), "the value of a parameter has 4097 bytes, where 4096 are the most");
-  EXPECT_THAT(problem_of({}, 256 << 10), HasSubstr("where 262144 are the most"));
+  EXPECT_EQ(problem_of({.source = 65}), "its source has 65 bytes, at most 64 are allowed");
+  EXPECT_EQ(problem_of({.service = 65}), "its service has 65 bytes, at most 64 are allowed");
+  EXPECT_EQ(problem_of({.detail = 4097}), "its detail has 4097 bytes, at most 4096 are allowed");
+  EXPECT_EQ(problem_of({.backend = 65}), "its backend has 65 bytes, at most 64 are allowed");
+  EXPECT_EQ(problem_of({.counters = 1025}), "it has 1025 counters, at most 1024 are allowed");
+  EXPECT_EQ(problem_of({.counter_name = 257}), "the name of a counter has 257 bytes, at most 256 are allowed");
+  EXPECT_EQ(problem_of({.parameters = 1025}), "it has 1025 parameters, at most 1024 are allowed");
+  EXPECT_EQ(problem_of({.key = 257}), "the name of a parameter has 257 bytes, at most 256 are allowed");
+  EXPECT_EQ(problem_of({.value = 4097}), "the value of a parameter has 4097 bytes, at most 4096 are allowed");
+  EXPECT_THAT(problem_of({}, 256 << 10), HasSubstr("at most 262144 are allowed"));
 }
 
 }  // namespace

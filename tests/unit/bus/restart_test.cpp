@@ -2,6 +2,7 @@
 #include <sys/stat.h>
 
 #include "bus/error.h"
+#include "bus/permanent_error.h"
 #include "bus_fixture.h"
 #include "child_process.h"
 #include "fake_broker.h"
@@ -247,7 +248,7 @@ TEST_F(Restart, ASecondBrokerIsRefused) {
               ThrowsMessage<bus::Error>(testing::AllOf(HasSubstr(directory_.path()), HasSubstr("already"),
                                                        HasSubstr(std::to_string(::getpid())))));
   const auto process = start_broker();
-  EXPECT_EQ(process->wait(), 1);
+  EXPECT_EQ(process->wait(), bus::kExitPermanent);  // nobody need start it again
   EXPECT_THAT(read_text(output_path()), HasSubstr("a broker runs there already"));
   // The first was not disturbed.
   NumberPublisher publisher(connect("maker"), "viewer/probe");

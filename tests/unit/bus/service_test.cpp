@@ -132,7 +132,7 @@ TEST_F(Service, UnderASupervisorASignalIsTheExitStatus) {
 TEST_F(Service, WhatIsConfiguredWronglyEndsWithItsOwnStatus) {
   ChildProcess keyless("bus-test-service", {"--bus", "tcp://192.0.2.1:7600"}, output_path());
   EXPECT_EQ(keyless.wait(), bus::kExitPermanent);
-  EXPECT_THAT(read_text(output_path()), HasSubstr("takes a key"));
+  EXPECT_THAT(read_text(output_path()), HasSubstr("requires a key"));
 }
 
 TEST_F(Service, APortInUseIsWaitedForAndThenFinal) {

@@ -45,10 +45,10 @@ TEST_F(HealthVerb, OfAPortAndAPage) {
   ASSERT_EQ(::bind(listener.get(), reinterpret_cast<sockaddr*>(&name), size), 0);
   ASSERT_EQ(::getsockname(listener.get(), reinterpret_cast<sockaddr*>(&name), &size), 0);
   const std::string place = "127.0.0.1:" + std::to_string(ntohs(name.sin_port));
-  EXPECT_EQ(error_of({"--tcp", place}), place + " is not well") << "it is bound, and nobody listens";
+  EXPECT_EQ(error_of({"--tcp", place}), place + " is not healthy") << "it is bound, and nobody listens";
   ASSERT_EQ(::listen(listener.get(), 4), 0);
   EXPECT_EQ(run({"--tcp", place}), place + " answers\n");
-  EXPECT_EQ(error_of({"--http", "http://" + place + "/", "--timeout", "0.3"}), "http://" + place + "/ is not well")
+  EXPECT_EQ(error_of({"--http", "http://" + place + "/", "--timeout", "0.3"}), "http://" + place + "/ is not healthy")
       << "a port that is open says nothing of what is behind it";
   const std::jthread page([&](const std::stop_token& stop) {
     const std::stop_callback ends(stop, [&] { ::shutdown(listener.get(), SHUT_RD); });

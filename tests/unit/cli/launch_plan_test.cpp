@@ -148,6 +148,15 @@ TEST_F(LaunchPlanTest, UnknownServicesAreNamedWithThoseThatExist) {
               HasSubstr("x.yaml:2:24: '/nonexistent/a' is not an executable program"));
 }
 
+TEST_F(LaunchPlanTest, OfSomeServicesThereIsOne) {
+  program("splatbus-expander", "exit 0");
+  for (const std::string name : {"bus", "trainer", "expander"}) {
+    EXPECT_THAT(error_of("services:\n  - {name: " + name + ", replicas: 2}\n"),
+                HasSubstr("'" + name + "' cannot have 2 replicas: a bus has one"));
+  }
+  EXPECT_EQ(error_of("services:\n  - {name: trainer, replicas: 1}\n"), "no error");
+}
+
 TEST_F(LaunchPlanTest, ClashingReplicaNames) {
   EXPECT_THAT(error_of("services:\n  - {name: viewer, replicas: 2}\n  - {name: viewer-2, program: splatbus-viewer}\n"),
               HasSubstr("process name 'viewer-2' is taken"));

@@ -125,7 +125,7 @@ TEST_F(SchemaJsonTest, UnknownAndWrongSchemasAreRefused) {
   EXPECT_EQ(error_of(round_trip<wire::Log>(log, "Vec3/1")), "test/topic: unknown schema 'Vec3/1'");
   EXPECT_EQ(error_of(round_trip<wire::Log>(log, "EngineFrame/1")), "test/topic: unknown schema 'EngineFrame/1'")
       << "a version that this program does not have";
-  EXPECT_EQ(error_of(round_trip<wire::Log>(log, kSchema<wire::EngineFrame>)), "test/topic: is no valid EngineFrame/3");
+  EXPECT_EQ(error_of(round_trip<wire::Log>(log, kSchema<wire::EngineFrame>)), "test/topic: not a valid EngineFrame/3");
 }
 
 TEST(TopicStatistics, TrafficIsWhatCameBetweenTwoSnapshots) {

@@ -158,7 +158,7 @@ TEST_F(SdkRefusal, LightsBesidesTheSun) {
   };
   EXPECT_THAT(spoilt([](auto& s) { s[1].id = 0; }), HasSubstr("light 0: 0 is the sun"));
   EXPECT_THAT(spoilt([](auto& s) { s[2].id = 2; }), HasSubstr("light 2 was given twice"));
-  EXPECT_THAT(spoilt([](auto& s) { s[1].kind = 3; }), HasSubstr("light 3: 3 is no kind of light"));
+  EXPECT_THAT(spoilt([](auto& s) { s[1].kind = 3; }), HasSubstr("light 3: 3 is not a kind of light"));
   EXPECT_THAT(spoilt([](auto& s) { s[1].intensity[2] = kNan; }), HasSubstr("light 3: intensity is not finite"));
   EXPECT_THAT(spoilt([](auto& s) { s[0].intensity[0] = -1e-3F; }), HasSubstr("light 2: intensity is below 0"));
   EXPECT_THAT(spoilt([](auto& s) { s[0].direction[1] = -2; }), HasSubstr("light 2: direction is not unit (norm 2)"));
@@ -169,7 +169,7 @@ TEST_F(SdkRefusal, LightsBesidesTheSun) {
   EXPECT_THAT(spoilt([](auto& s) { s[2].range_m = kNan; }), HasSubstr("light 5: range_m is nan, not above 0"));
   EXPECT_THAT(spoilt([](auto& s) { s[1].range_m = kInfinity; }), HasSubstr("light 3: range_m is inf"));
   EXPECT_THAT(spoilt([](auto& s) { s[2].cos_inner = 0.7F; }),
-              HasSubstr("light 5: cos_outer 0.7 and cos_inner 0.7 are no cone"));
+              HasSubstr("light 5: cos_outer 0.7 and cos_inner 0.7 do not make a cone"));
   EXPECT_THAT(spoilt([](auto& s) { s[2].cos_inner = 1.5F; }), HasSubstr("light 5: cos_outer 0.7 and cos_inner 1.5"));
   EXPECT_THAT(spoilt([](auto& s) { s[2].cos_outer = -1.5F; }), HasSubstr("light 5: cos_outer -1.5"));
   EXPECT_THAT(spoilt([](auto& s) { s[2].cos_outer = kNan; }), HasSubstr("light 5: cos_outer nan"));
@@ -179,7 +179,7 @@ TEST_F(SdkRefusal, LightsBesidesTheSun) {
     return sources;
   };
   EXPECT_THAT(spoilt([&](auto& s) { s = crowd(SPLATBUS_MAX_LIGHTS + 1); }),
-              HasSubstr("light: 33 sources, where 32 are the most"));
+              HasSubstr("light: 33 sources, at most 32 are allowed"));
   EXPECT_THAT(words([](auto& f) { f.frame.light.source_count = 1; }), HasSubstr("light: sources is NULL"));
 
   // What does not count for a kind may be anything.
@@ -210,7 +210,7 @@ TEST_F(SdkRefusal, MapsThatNoLightHas) {
     map.frame.light_map = light_map;
     return map;
   };
-  EXPECT_THAT(refused(map_of(4, 0).frame), HasSubstr("camera 6 (role 3): light_id is 4, which is no light of the"));
+  EXPECT_THAT(refused(map_of(4, 0).frame), HasSubstr("camera 6 (role 3): light_id is 4, which is not a light of the"));
   EXPECT_THAT(refused(map_of(6, 0).frame), HasSubstr("light 6 casts no shadow: it has no depth maps"));
   EXPECT_THAT(refused(map_of(3, 6).frame), HasSubstr("light_map is 6, where light 3 has 0 to 5"));
   EXPECT_THAT(refused(map_of(5, 1).frame), HasSubstr("light_map is 1, where light 5 has 0 to 0"));
@@ -231,7 +231,7 @@ TEST_F(SdkRefusal, Objects) {
   for (const float scale : {0.0F, -1.0F, kNan, kInfinity}) {
     EXPECT_THAT(words([&](auto& f) { f.objects[1].scale = scale; }), HasSubstr("object 7: scale is ")) << scale;
   }
-  EXPECT_THAT(words([](auto& f) { f.objects[1].flags = 5; }), HasSubstr("object 7: 0x5 are no flags of an object"));
+  EXPECT_THAT(words([](auto& f) { f.objects[1].flags = 5; }), HasSubstr("object 7: 0x5 are not flags of an object"));
   EXPECT_THAT(words([](auto& f) { f.objects[0].id = 0; }), HasSubstr("object 0"));
   EXPECT_THAT(words([](auto& f) { f.objects[1].id = 4; }), HasSubstr("object 4 was given twice"));
   EXPECT_THAT(words([](auto& f) {
@@ -250,8 +250,8 @@ TEST_F(SdkRefusal, MoreObjectsThanTheBound) {
     f.refresh();
   };
   EXPECT_THAT(words([&](auto& f) { fill(f, SPLATBUS_MAX_OBJECTS + 1); }),
-              HasSubstr(std::to_string(SPLATBUS_MAX_OBJECTS + 1) + " objects, where " +
-                        std::to_string(SPLATBUS_MAX_OBJECTS) + " are the most"));
+              HasSubstr(std::to_string(SPLATBUS_MAX_OBJECTS + 1) + " objects, at most " +
+                        std::to_string(SPLATBUS_MAX_OBJECTS) + " are allowed"));
   OwnedFrame most = next_frame(small_camera());
   fill(most, SPLATBUS_MAX_OBJECTS);
   expect_published(most.frame);

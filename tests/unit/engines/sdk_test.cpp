@@ -182,7 +182,7 @@ TEST_F(SdkTest, NullPointersAreArgumentErrors) {
   splatbus_engine* none = nullptr;
   EXPECT_THAT(refused("ipc:///tmp", nullptr, SPLATBUS_ENGINE_ABI, kHost, &none), HasSubstr("source"));
   EXPECT_THAT(refused("nonsense", "x", SPLATBUS_ENGINE_ABI, kHost, &none), HasSubstr("nonsense"));
-  EXPECT_THAT(refused("ipc:///tmp", "x", SPLATBUS_ENGINE_ABI, 7, &none), HasSubstr("7 is no memory"));
+  EXPECT_THAT(refused("ipc:///tmp", "x", SPLATBUS_ENGINE_ABI, 7, &none), HasSubstr("7 is not a kind of memory"));
   EXPECT_THAT(refused("ipc:///tmp", "x", SPLATBUS_ENGINE_ABI - 1, kHost, nullptr), HasSubstr("built for ABI"));
   EXPECT_EQ(none, nullptr);
   splatbus_engine_close(nullptr);

@@ -146,7 +146,7 @@ TEST_F(Hostile, PagesAreRefusedByName) {
   expect_refused("codec 9", page({.codec = 9}));
   expect_refused("a part of", page({.blob_bytes = 1}));
   expect_refused("1 bytes behind", page({.more = 1}));
-  expect_refused("is another than the held", page({.version = version(), .structure = version()}));
+  expect_refused("differs from the one that is held", page({.version = version(), .structure = version()}));
   const Bytes row = zstd_compress(Bytes(300, 9));
   const auto bytes = static_cast<std::uint32_t>(row.size());
   EXPECT_EQ(refusal(page({}, {{0, 300, bytes}}, row)), "nothing");

@@ -166,8 +166,8 @@ TEST(SceneLights, AViewerRefusesByNameWhatIsNoLight) {
   expect_refused("light 4 vanishes", {1, 4, 0});
   expect_refused("33 lights, at most 32", {0, 33});
   expect_refused("light 0 is the sun", {0, 1, 0, 1, 1});
-  expect_refused("light 5 appears and is there", {0, 1, 5, 1, 1});
-  expect_refused("light 4 changes and is not there", {0, 1, 4, 2, 2, 2, 2});
+  expect_refused("light 5 appears, but is already there", {0, 1, 5, 1, 1});
+  expect_refused("light 4 changes, but is not there", {0, 1, 4, 2, 2, 2, 2});
   expect_refused("light 5: parts 0", {0, 1, 5, 0});
   expect_refused("light 5: parts 4", {0, 1, 5, 4, 0, 0, 0, 0});  // a point light has no direction,
   expect_refused("light 3: parts 2", {0, 1, 3, 2, 0, 0, 0});     // a directional one no position
@@ -180,7 +180,7 @@ TEST(SceneLights, AViewerRefusesByNameWhatIsNoLight) {
   expect_refused("light 5: its intensity is negative", {0, 1, 5, 8, 1, 0xFF, 0x3F, 0, 0});
   expect_refused("light 5: its intensity is out of bounds", {0, 1, 5, 8, 1, 0x80, 0x80, 4, 0, 0});
   expect_refused("light 5: its range is not above 0", {0, 1, 5, 16, 3, 0xFF, 0x3F});
-  expect_refused("light 9: its cone is none", {0, 1, 9, 16, 4, 0, 0, 0x80, 0x80, 0x7E});
+  expect_refused("light 9: its cone is not valid", {0, 1, 9, 16, 4, 0, 0, 0x80, 0x80, 0x7E});
   expect_refused("light 9: its cone is out of bounds", {0, 1, 9, 16, 4, 0, 0x80, 0x80, 0x80, 0x80, 1, 0});
   expect_refused("ends after", {0, 1, 5, 2, 0x80});
   expect_refused("above 32 bits", {0, 1, 0x80, 0x80, 0x80, 0x80, 0x10, 1});

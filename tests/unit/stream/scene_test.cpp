@@ -261,8 +261,8 @@ TEST_F(ForgedScene, IsRefusedByName) {
   expect_refused("object 1: its scale", {0, 0, 0, 1, 1, 8, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 1});
   expect_refused("object 1: its scale", {0, 0, 0, 1, 1, 8, 0x82, 0x80, 0x40});
   expect_refused("object 1: flags 4", {0, 0, 0, 1, 1, 16, 4});
-  expect_refused("object 1 appears and is there", {0, 0, 0, 1, 1, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0});
-  expect_refused("object 3 changes and is not there", {0, 0, 0, 1, 3, 2, 0, 0, 0});
+  expect_refused("object 1 appears, but is already there", {0, 0, 0, 1, 1, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0});
+  expect_refused("object 3 changes, but is not there", {0, 0, 0, 1, 3, 2, 0, 0, 0});
   expect_refused("object 1: its position",
                  {0, 0, 0, 1, 1, 2, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 1, 0, 0});
   expect_refused("object 1: its rotation", {0, 0, 0, 1, 1, 4, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0x1F});

@@ -93,8 +93,8 @@ TEST(Convert, CamerasThatCannotBeAreRefused) {
   EXPECT_THAT([] { (void)from_wire(wire_camera(4, 8193, 10, 0.1F, 5)); }, refused("camera.height is 8193"));
   EXPECT_THAT([] { (void)from_wire(wire_camera(4, 4, kNan, 0.1F, 5)); }, refused("camera.fx is nan"));
   EXPECT_THAT([] { (void)from_wire(wire_camera(4, 4, 0, 0.1F, 5)); }, refused("not positive"));
-  EXPECT_THAT([] { (void)from_wire(wire_camera(4, 4, 10, 5, 5)); }, refused("no range of depths"));
-  EXPECT_THAT([] { (void)from_wire(wire_camera(4, 4, 10, -1, 5)); }, refused("no range of depths"));
+  EXPECT_THAT([] { (void)from_wire(wire_camera(4, 4, 10, 5, 5)); }, refused("not a range of depths"));
+  EXPECT_THAT([] { (void)from_wire(wire_camera(4, 4, 10, -1, 5)); }, refused("not a range of depths"));
   EXPECT_THAT([] { (void)from_wire(wire_camera(4, 4, 10, 0.1F, kInfinity)); }, refused("camera.far_m is inf"));
   EXPECT_THAT([] { (void)from_wire(wire_camera(4, 4, 10, 0.1F, 5, static_cast<wire::CameraRole>(4))); },
               refused("camera.role 4 is unknown"));
@@ -199,9 +199,9 @@ TEST(Convert, LightSourcesThatCannotBeAreRefused) {
   for (const float range_m : {0.0F, -1.0F, kNan, kInfinity}) {
     EXPECT_THAT(spoilt([=](LightSource& s) { s.range_m = range_m; }), refused("range_m is not above 0"));
   }
-  EXPECT_THAT(spoilt([](LightSource& s) { s.cos_outer = s.cos_inner; }), refused("are no cone"));
-  EXPECT_THAT(spoilt([](LightSource& s) { s.cos_inner = 1.5F; }), refused("are no cone"));
-  EXPECT_THAT(spoilt([](LightSource& s) { s.cos_outer = kNan; }), refused("are no cone"));
+  EXPECT_THAT(spoilt([](LightSource& s) { s.cos_outer = s.cos_inner; }), refused("do not make a cone"));
+  EXPECT_THAT(spoilt([](LightSource& s) { s.cos_inner = 1.5F; }), refused("do not make a cone"));
+  EXPECT_THAT(spoilt([](LightSource& s) { s.cos_outer = kNan; }), refused("do not make a cone"));
   EXPECT_THAT([] { (void)light_of({kSpot, kSpot}); }, refused("light.sources: 4 after 4"));
   EXPECT_THAT([] { (void)light_of(std::vector<LightSource>(33, kSpot)); }, refused("33 lights, at most 32"));
 }

@@ -49,7 +49,7 @@ export function viewOf(pose: Pose, width: number, height: number): View {
 /** Of world_from_camera, row-major 3x4: x right, y down, z forward. Without what it leans to a side. */
 export function poseOf(camera: Float32Array, distance: number): Pose {
   const column = (k: number): Vec3 => [camera[k], camera[4 + k], camera[8 + k]];
-  const forward = scale(column(2), 1 / Math.max(length(column(2)), 1e-12)); // between two turns it is shorter
+  const forward = scale(column(2), 1 / Math.max(length(column(2)), 1e-12)); // an engine's numbers are rounded
   return {
     target: add(column(3), scale(forward, distance)),
     yaw: Math.atan2(-forward[2], -forward[0]),

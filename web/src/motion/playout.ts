@@ -1,5 +1,6 @@
 import { clamp, kTransformFloats, mix } from '../math';
 import type { Scene, SceneTime } from '../records';
+import { mixTransform } from './turning';
 
 /** Scenes that are kept, for the ones between which it is now, and for how late they come. */
 const kKept = 16;
@@ -132,7 +133,7 @@ function transformsBetween(from: Float32Array, to: Float32Array, part: number): 
   for (let at = 0; at < to.length && at + kTransformFloats <= from.length; at += kTransformFloats) {
     const hidden = (of: Float32Array): boolean => of[at] === 0 && of[at + 1] === 0 && of[at + 2] === 0;
     if (hidden(from) || hidden(to)) continue;
-    for (let k = at; k < at + kTransformFloats; ++k) out[k] = from[k] + (to[k] - from[k]) * part;
+    mixTransform(from, to, at, part, out);
   }
   return out;
 }

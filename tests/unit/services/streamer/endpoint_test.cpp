@@ -177,7 +177,7 @@ TEST_F(EndpointTest, WhereNobodyMovesWhatIsAnothersItsOwnSocketIsThere) {
     }
     return std::string();
   };
-  EXPECT_THAT(refusal(), testing::HasSubstr("nobody is there yet"));
+  EXPECT_THAT(refusal(), testing::HasSubstr("nothing listens there yet"));
   const Endpoint bound({address});
   EXPECT_EQ(refusal(), "");
   ASSERT_EQ(::chmod(path.c_str(), 0722), 0);

@@ -122,7 +122,10 @@ export class WebGl2Renderer implements EyeRenderer {
   }
 
   async finish(): Promise<void> {
-    this.#gl.finish();
+    // Chromium's gl.finish() waits for nothing, and of a fence it hears milliseconds later. A pixel is there once all of them are.
+    const gl = this.#gl;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
   }
 
   dispose(): void {
