@@ -15,11 +15,6 @@ namespace {
 
 constexpr std::size_t kSpareBlocks = 256;
 
-/// Blocks that are left to rest: a viewer fades out what has gone, in the very rows, for as long as nobody has them.
-std::size_t resting_blocks(std::size_t rows) {
-  return 4 * kPageBlocks + rows / kBlockRows / 16;
-}
-
 Change take_visibility(ReplicatedState& state, const wire::LightVisibility& body,
                        std::span<const std::uint8_t> payload) {
   const AttributeChannels* a = state.layout.find(Attribute::Visibility);
@@ -125,14 +120,16 @@ void ReplicatedState::set_count(HeldPage& page, std::uint32_t new_count, Change&
     change.blocks.push_back({page.blocks[k], page.shown[k] = 0});
   }
   for (std::uint32_t k = before; k < after; ++k) {
-    while (free_blocks.size() <= resting_blocks(rows())) {
-      auto block = static_cast<std::uint32_t>(rows() / kBlockRows);
+    if (free_blocks.empty()) {
+      const std::size_t rows_before = rows();
       gaussians.grow();
       light_rows.resize(rows());
-      for (; block < rows() / kBlockRows; ++block) free_blocks.push_back(block);
+      for (std::size_t block = rows() / kBlockRows; block > rows_before / kBlockRows; --block) {
+        free_blocks.push_back(static_cast<std::uint32_t>(block - 1));
+      }
     }
-    page.blocks[k] = free_blocks.front();
-    free_blocks.pop_front();
+    page.blocks[k] = free_blocks.back();
+    free_blocks.pop_back();
   }
   for (std::uint32_t lane = page.count; lane < new_count; ++lane) light_rows.forget(page.row(lane));
   count += new_count;

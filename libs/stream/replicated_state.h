@@ -2,7 +2,6 @@
 
 #include <array>
 #include <cstdint>
-#include <deque>
 #include <map>
 #include <optional>
 #include <set>
@@ -53,7 +52,7 @@ struct ReplicatedState {
   StreamLayout layout;
   HeldGaussians gaussians;                  ///< rows of no page hold anything
   std::map<std::uint32_t, HeldPage> pages;  ///< by number
-  std::deque<std::uint32_t> free_blocks;    ///< below the rows there are; the one that has rested longest first
+  std::vector<std::uint32_t> free_blocks;   ///< below the rows there are
   std::size_t count = 0;                    ///< Gaussians of the pages, those missing in parts included
   QuantizedScene quantized_scene;
   SceneState scene;  ///< of quantized_scene

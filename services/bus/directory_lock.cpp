@@ -44,8 +44,8 @@ bus::FileDescriptor unix_socket() {
   return socket;
 }
 
-/// Binds the folder's abstract name. Throws bus::PermanentError when another broker of this user has it; another user who took
-/// the name to be in the way is not minded.
+/// Binds the folder's abstract name. Throws bus::PermanentError when another broker of this user has it; another user
+/// who took the name to be in the way is not minded.
 bus::FileDescriptor take_name(const std::string& directory) {
   const auto name = abstract_name(directory);
   sockaddr_un address{};
@@ -65,7 +65,8 @@ bus::FileDescriptor take_name(const std::string& directory) {
       return socket;
     }
   }
-  throw bus::PermanentError(fmt::format("bus folder {}: a broker runs there already (process {})", directory, holder.pid));
+  throw bus::PermanentError(
+      fmt::format("bus folder {}: a broker runs there already (process {})", directory, holder.pid));
 }
 
 }  // namespace

@@ -134,8 +134,10 @@ std::string metrics_text(const PipelineView& pipeline, const Traffic& traffic, s
   Families out;
   add_services(out, pipeline.services(now_ns));
   if (const auto stream = pipeline.stream(now_ns)) add_stream(out, *stream);
-  if (const auto& quality = pipeline.quality()) {
-    out.gauge("splatbus_stream_ssim", "A viewer's picture against the engine's, the newest comparison", quality->ssim);
+  if (const auto* quality = pipeline.quality(now_ns)) {
+    out.gauge("splatbus_stream_ssim",
+              "A viewer's picture against the engine's, the newest comparison; absent after 10 s without one",
+              quality->ssim);
     out.gauge("splatbus_stream_psnr_db", "The same", quality->psnr_db);
   }
   if (const auto* trainer = pipeline.trainer(now_ns)) add_trainer(out, *trainer);
@@ -191,7 +193,7 @@ nlohmann::json status_json(const PipelineView& pipeline, const Traffic& traffic,
                          {"host_bytes", t->host_bytes},
                          {"disk_bytes", t->disk_bytes}};
   }
-  if (const auto& q = pipeline.quality()) {
+  if (const auto* q = pipeline.quality(now_ns)) {
     status["quality"] = {{"ssim", q->ssim}, {"psnr_db", q->psnr_db}, {"flip", q->flip}};
   }
   Json refused = Json::object();

@@ -19,27 +19,52 @@ constexpr std::size_t kMaxServices = 64, kMaxCounters = 64, kMaxTypes = 32, kMax
 constexpr std::size_t kMessagesACall = 1024;
 constexpr double kPatienceS = 3;
 
-StreamFigures figures_of(const wire::StreamStats& stats) {
-  StreamFigures figures{.epoch = stats.stream_epoch(),
-                        .version = stats.version(),
-                        .pages = stats.pages(),
-                        .gaussians = stats.gaussians(),
-                        .model_gaussians = stats.model_gaussians(),
-                        .total_bytes = stats.total_bytes(),
-                        .whole_pages = stats.whole_pages(),
-                        .lost_packets = stats.lost_packets(),
-                        .lost_viewers = stats.lost_viewers(),
-                        .viewers = stats.viewers(),
-                        .wire_mbps = stats.wire_mbps(),
-                        .wire_mbps_mean = stats.wire_mbps_mean(),
-                        .wire_mbps_peak = stats.wire_mbps_peak(),
-                        .by_type = {}};
-  if (stats.by_type() == nullptr) return figures;
+StreamCounts counts_of(const wire::StreamStats& stats) {
+  StreamCounts counts{.total_bytes = stats.total_bytes(),
+                      .whole_pages = stats.whole_pages(),
+                      .lost_packets = stats.lost_packets(),
+                      .lost_viewers = stats.lost_viewers(),
+                      .by_type = {}};
+  if (stats.by_type() == nullptr) return counts;
   for (const auto* type : *stats.by_type()) {
-    if (figures.by_type.size() == kMaxTypes) break;
-    figures.by_type[bus::printable(type->body()->string_view())] = {type->packets(), type->total_bytes()};
+    if (counts.by_type.size() == kMaxTypes) break;
+    counts.by_type[bus::printable(type->body()->string_view())] = {type->packets(), type->total_bytes()};
   }
+  return counts;
+}
+
+StreamFigures figures_of(const wire::StreamStats& stats) {
+  StreamFigures figures{counts_of(stats)};
+  figures.epoch = stats.stream_epoch();
+  figures.version = stats.version();
+  figures.pages = stats.pages();
+  figures.gaussians = stats.gaussians();
+  figures.model_gaussians = stats.model_gaussians();
+  figures.viewers = stats.viewers();
+  figures.wire_mbps = stats.wire_mbps();
+  figures.wire_mbps_mean = stats.wire_mbps_mean();
+  figures.wire_mbps_peak = stats.wire_mbps_peak();
   return figures;
+}
+
+/// All of it where the counter began anew.
+std::uint64_t increase(std::uint64_t before, std::uint64_t now) {
+  return now >= before ? now - before : now;
+}
+
+void add_increase(StreamCounts& all, const StreamCounts& before, const StreamCounts& now) {
+  for (const auto counter : {&StreamCounts::total_bytes, &StreamCounts::whole_pages, &StreamCounts::lost_packets,
+                             &StreamCounts::lost_viewers}) {
+    all.*counter += increase(before.*counter, now.*counter);
+  }
+  for (const auto& [name, type] : now.by_type) {
+    if (!all.by_type.contains(name) && all.by_type.size() == kMaxTypes) continue;
+    const auto found = before.by_type.find(name);
+    const StreamCounts::Type was = found != before.by_type.end() ? found->second : StreamCounts::Type{};
+    StreamCounts::Type& sum = all.by_type[name];
+    sum.packets += increase(was.packets, type.packets);
+    sum.bytes += increase(was.bytes, type.bytes);
+  }
 }
 
 TrainerFigures figures_of(const wire::TrainerStats& stats) {
@@ -71,19 +96,13 @@ PipelineView::PipelineView(std::shared_ptr<bus::Context> context) : subscriber_(
   using bus::Message;
   subscriber_.on(topics::kHeartbeat, [this](const wire::Heartbeat& body, const Message&) { take_heartbeat(body); })
       .on(topics::kLiveness, [this](const wire::Liveness& body, const Message& m) { take_liveness(body, m); })
-      .on(topics::kStreamStats,
-          [this](const wire::StreamStats& body, const Message& message) {
-            const std::string source = message.header().source()->str();
-            if (streams_.contains(source) || streams_.size() < kMaxServices) {
-              streams_[source] = {figures_of(body), now_ns_};
-            }
-          })
+      .on(topics::kStreamStats, [this](const wire::StreamStats& body, const Message& m) { take_stream(body, m); })
       .on(topics::kTrainerStats,
           [this](const wire::TrainerStats& body, const Message&) {
             trainer_ = {figures_of(body), now_ns_};
           })
       .on(topics::kViewerQuality, [this](const wire::ViewerQuality& body, const Message&) {
-        quality_ = {.ssim = body.ssim(), .psnr_db = body.psnr_db(), .flip = body.flip()};
+        quality_ = {QualityFigures{.ssim = body.ssim(), .psnr_db = body.psnr_db(), .flip = body.flip()}, now_ns_};
       });
 }
 
@@ -94,8 +113,8 @@ void PipelineView::poll(std::int64_t now_ns) {
 
 std::optional<StreamFigures> PipelineView::stream(std::int64_t now_ns) const {
   std::optional<StreamFigures> all;
-  for (const auto& [source, heard] : streams_) {
-    const StreamFigures* one = fresh(heard, now_ns);
+  for (const auto& [source, streamer] : streams_) {
+    const StreamFigures* one = fresh(streamer.heard, now_ns);
     if (one == nullptr) continue;
     if (!all) {
       all = *one;
@@ -103,21 +122,34 @@ std::optional<StreamFigures> PipelineView::stream(std::int64_t now_ns) const {
     }
     const StreamFigures before = *all;
     if (one->epoch > all->epoch) all = *one;
-    all->total_bytes = before.total_bytes + one->total_bytes;
-    all->whole_pages = before.whole_pages + one->whole_pages;
-    all->lost_packets = before.lost_packets + one->lost_packets;
-    all->lost_viewers = before.lost_viewers + one->lost_viewers;
     all->viewers = before.viewers + one->viewers;
     all->wire_mbps = before.wire_mbps + one->wire_mbps;
     all->wire_mbps_mean = before.wire_mbps_mean + one->wire_mbps_mean;
     all->wire_mbps_peak = before.wire_mbps_peak + one->wire_mbps_peak;
-    all->by_type = before.by_type;
-    for (const auto& [name, type] : one->by_type) {
-      all->by_type[name].packets += type.packets;
-      all->by_type[name].bytes += type.bytes;
-    }
   }
+  if (all) static_cast<StreamCounts&>(*all) = counted_;
   return all;
+}
+
+void PipelineView::take_stream(const wire::StreamStats& stats, const bus::Message& message) {
+  const std::string source = message.header().source()->str();
+  if (!streams_.contains(source) && !make_room_for_streamer()) return;
+  Streamer& streamer = streams_[source];
+  const std::uint64_t start = message.header().epoch();
+  const StreamFigures now = figures_of(stats);
+  const bool same_process = streamer.heard.figures && streamer.start == start;
+  add_increase(counted_, same_process ? *streamer.heard.figures : StreamFigures{}, now);
+  streamer = {.heard = {now, now_ns_}, .start = start};
+}
+
+bool PipelineView::make_room_for_streamer() {
+  if (streams_.size() < kMaxServices) return true;
+  const auto oldest = std::min_element(streams_.begin(), streams_.end(), [](const auto& a, const auto& b) {
+    return a.second.heard.heard_ns < b.second.heard.heard_ns;
+  });
+  if (fresh(oldest->second.heard, now_ns_) != nullptr) return false;
+  streams_.erase(oldest);
+  return true;
 }
 
 void PipelineView::take_heartbeat(const wire::Heartbeat& heartbeat) {
@@ -147,7 +179,6 @@ void PipelineView::take_liveness(const wire::Liveness& liveness, const bus::Mess
                       .alive = node->alive(),
                       .age_s = node->age_s()});
   }
-  std::erase_if(streams_, [&](const auto& entry) { return fresh(entry.second, now_ns_) == nullptr; });
   std::erase_if(beats_, [&](const auto& beat) {
     return std::none_of(nodes_.begin(), nodes_.end(), [&](const auto& node) { return node.source == beat.first; });
   });

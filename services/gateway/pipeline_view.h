@@ -20,16 +20,20 @@ struct ServiceFigures {
   std::map<std::string, double> counters;
 };
 
-/// stream/stats.
-struct StreamFigures {
-  std::uint64_t epoch = 0, version = 0, pages = 0, gaussians = 0, model_gaussians = 0, total_bytes = 0;
-  std::uint64_t whole_pages = 0, lost_packets = 0, lost_viewers = 0;
-  std::uint32_t viewers = 0;
-  double wire_mbps = 0, wire_mbps_mean = 0, wire_mbps_peak = 0;
+/// Of stream/stats, what only grows while a streamer runs.
+struct StreamCounts {
+  std::uint64_t total_bytes = 0, whole_pages = 0, lost_packets = 0, lost_viewers = 0;
   struct Type {
     std::uint64_t packets = 0, bytes = 0;
   };
   std::map<std::string, Type> by_type;
+};
+
+/// stream/stats.
+struct StreamFigures : StreamCounts {
+  std::uint64_t epoch = 0, version = 0, pages = 0, gaussians = 0, model_gaussians = 0;
+  std::uint32_t viewers = 0;
+  double wire_mbps = 0, wire_mbps_mean = 0, wire_mbps_peak = 0;
 };
 
 /// trainer/stats.
@@ -56,13 +60,13 @@ class PipelineView {
   void poll(std::int64_t now_ns);
 
   [[nodiscard]] std::vector<ServiceFigures> services(std::int64_t now_ns) const;
-  /// Of all streamers together: sums, and of the model what the one that started last says. Nullopt where nothing came
-  /// for 10 s.
+  /// Of all streamers together: sums, and of the model what the one that started last says. What is counted never
+  /// falls: it has what streamers counted that are gone, or began anew. Nullopt where nothing came for 10 s.
   [[nodiscard]] std::optional<StreamFigures> stream(std::int64_t now_ns) const;
   /// Null where nothing came for 10 s.
   [[nodiscard]] const TrainerFigures* trainer(std::int64_t now_ns) const { return fresh(trainer_, now_ns); }
-  /// The newest, however old.
-  [[nodiscard]] const std::optional<QualityFigures>& quality() const { return quality_; }
+  /// The newest. Null where nothing came for 10 s.
+  [[nodiscard]] const QualityFigures* quality(std::int64_t now_ns) const { return fresh(quality_, now_ns); }
 
   /// Empty, or what keeps viewers from being served.
   [[nodiscard]] std::string ill_because(std::int64_t now_ns) const;
@@ -77,17 +81,25 @@ class PipelineView {
   [[nodiscard]] static const Figures* fresh(const Heard<Figures>& heard, std::int64_t now_ns) {
     return heard.figures && now_ns - heard.heard_ns < 10'000'000'000 ? &*heard.figures : nullptr;
   }
+  struct Streamer {
+    Heard<StreamFigures> heard;
+    std::uint64_t start = 0;  ///< epoch of the process
+  };
+  void take_stream(const wire::StreamStats& stats, const bus::Message& message);
+  /// Whether there is room for one more; makes it of the one that is silent the longest.
+  bool make_room_for_streamer();
   void take_heartbeat(const wire::Heartbeat& heartbeat);
   void take_liveness(const wire::Liveness& liveness, const bus::Message& message);
 
   bus::Subscriber subscriber_;
   std::int64_t now_ns_ = 0;
-  std::vector<ServiceFigures> nodes_;                    ///< of the newest liveness
-  std::int64_t liveness_ns_ = 0;                         ///< when it was heard; 0: only a held one, or none
-  std::map<std::string, ServiceFigures> beats_;          ///< by source; what liveness does not say
-  std::map<std::string, Heard<StreamFigures>> streams_;  ///< by source
+  std::vector<ServiceFigures> nodes_;            ///< of the newest liveness
+  std::int64_t liveness_ns_ = 0;                 ///< when it was heard; 0: only a held one, or none
+  std::map<std::string, ServiceFigures> beats_;  ///< by source; what liveness does not say
+  std::map<std::string, Streamer> streams_;      ///< by source; silent ones too: what they counted is in counted_
+  StreamCounts counted_;                         ///< by all streamers there have been
   Heard<TrainerFigures> trainer_;
-  std::optional<QualityFigures> quality_;
+  Heard<QualityFigures> quality_;
 };
 
 }  // namespace splatbus::gateway

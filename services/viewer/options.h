@@ -31,8 +31,8 @@ struct Options {
   PathOptions path;
 
   void bind(bus::ParameterBinder& parameters);
-  /// A window's pictures are drawn in its context, unless they are to be compared with the engine's, under whose light
-  /// only a rasteriser draws.
+  /// A window's pictures are drawn in its context, if it takes them, unless they are to be compared with the engine's,
+  /// under whose light only a rasteriser draws.
   [[nodiscard]] bool draws_through_opengl() const { return (window || opengl) && !probe; }
 };
 

@@ -43,7 +43,7 @@ class PathReader {
       begins = false;
       any = true;
     }
-    if (!any) throw bus::Error(file_ + ": no point in it");
+    if (!any) throw bus::Error(file_ + ": it holds no point");
     if (begins) refuse("a teleport to nowhere");
   }
 
@@ -68,7 +68,7 @@ class PathReader {
       std::istringstream in(part);
       double value = 0;
       if (!(in >> value) || in.peek() != std::istringstream::traits_type::eof()) {
-        refuse(fmt::format("'{}' is no number", part));
+        refuse(fmt::format("'{}' is not a number", part));
       }
       values.push_back(value);
     }

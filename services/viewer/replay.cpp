@@ -203,17 +203,20 @@ std::uint64_t replay(const std::string& log, const Options& options, Device devi
     throw bus::Error(
         "a replay needs a window (--window), or a folder and which pictures: --set out=FOLDER --set frames=1");
   }
-  const bool opengl = options.draws_through_opengl();
+  std::unique_ptr<Window> window;
+  if (options.window) {
+    window = std::make_unique<Window>(CameraPath(options.path).at(options.path.start_s), "splatbus: " + log,
+                                      options.draws_through_opengl() ? Window::For::Splats : Window::For::Pictures);
+    window->save_in(options.out);
+  }
+  const bool opengl = options.draws_through_opengl() && (!window || window->takes_splats());
   const auto make_painter = [&] {
     return opengl ? make_gl_painter(options.window, options.draw) : make_raster_painter(device, options.threads);
   };
   LogFeed feed(log, opengl, options.window, options.max_gaussians);
   std::uint64_t drawn = 0;
-  if (options.window) {
-    Window window(CameraPath(options.path).at(options.path.start_s), "splatbus: " + log,
-                  opengl ? Window::For::Splats : Window::For::Pictures);
-    window.save_in(options.out);
-    drawn = WindowReplay(feed, window, make_painter).run(stop);
+  if (window) {
+    drawn = WindowReplay(feed, *window, make_painter).run(stop);
   } else {
     drawn = replay_to_files(feed, *make_painter(), options, stop);
   }

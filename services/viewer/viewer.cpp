@@ -51,8 +51,8 @@ std::unique_ptr<Window> make_window(const Options& options, const Camera& camera
   return std::make_unique<Window>(camera, "splatbus: " + name, what);
 }
 
-std::unique_ptr<Painter> make_painter(const Options& options, Device device) {
-  if (options.draws_through_opengl()) return make_gl_painter(options.window, options.draw);
+std::unique_ptr<Painter> make_painter(const Options& options, bool opengl, Device device) {
+  if (opengl) return make_gl_painter(options.window, options.draw);
   return make_raster_painter(device, options.threads);
 }
 
@@ -61,14 +61,15 @@ std::unique_ptr<Painter> make_painter(const Options& options, Device device) {
 Viewer::Viewer(const bus::Parameters& parameters, ViewerHost host)
     : options_(parameters),
       host_(std::move(host)),
-      receiver_(client_options(*options_, host_),
-                options_->draws_through_opengl() ? StreamReceiver::Gives::Rows : StreamReceiver::Gives::Changes),
       path_(options_->path),
       path_clock_(options_->path, bus::now_ns()),
       path_options_(options_->path),
       camera_(path_.at(options_->path.start_s)),
       window_(make_window(*options_, camera_, host_.name)),
-      painter_(make_painter(*options_, host_.device)),
+      opengl_(options_->draws_through_opengl() && (!window_ || window_->takes_splats())),
+      painter_(make_painter(*options_, opengl_, host_.device)),
+      receiver_(client_options(*options_, host_),
+                opengl_ ? StreamReceiver::Gives::Rows : StreamReceiver::Gives::Changes),
       begin_ns_(bus::now_ns()),
       next_probe_id_(first_probe_id()) {
   if (window_) {
@@ -114,14 +115,13 @@ void Viewer::run() {
 
 void Viewer::renew_context(const ContextLost& lost) {
   spdlog::warn("{}", lost.what());
-  const bool opengl = options_->draws_through_opengl();
   losses_.recover(lost, [&] {
-    if (opengl) painter_.reset();
+    if (opengl_) painter_.reset();
     if (window_) window_->reopen();
-    if (opengl) painter_ = make_painter(*options_, host_.device);
+    if (opengl_) painter_ = make_painter(*options_, opengl_, host_.device);
   });
   spdlog::info("there is another context, and all is drawn anew");
-  if (!opengl) return;
+  if (!opengl_) return;
   receiver_.give_all();
   awaits_all_ = true;
 }

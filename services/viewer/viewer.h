@@ -50,7 +50,7 @@ class Viewer {
  private:
   [[nodiscard]] cv::Mat draw(const Camera& camera, const SceneState& scene);
   /// In the window, at the display's own rate.
-  [[nodiscard]] bool draws_at_display_rate() const { return window_ && options_->draws_through_opengl(); }
+  [[nodiscard]] bool draws_at_display_rate() const { return window_ && opengl_; }
   /// What has arrived; true when it shows.
   bool take();
   /// Draws in another context from now on. Throws `lost` where that was done too often, bus::Error where there is none.
@@ -72,8 +72,6 @@ class Viewer {
 
   bus::LiveOptions<Options> options_;
   ViewerHost host_;
-  StreamReceiver receiver_;
-  Shown shown_;
   stream::Playout playout_;
   PictureAges ages_;
   CameraPath path_;
@@ -82,7 +80,10 @@ class Viewer {
   std::optional<PathRecorder> recorder_;
   Camera camera_;
   std::unique_ptr<Window> window_;
+  bool opengl_;
   std::unique_ptr<Painter> painter_;  // in the window's context
+  StreamReceiver receiver_;
+  Shown shown_;
   std::optional<WindowStream> window_stream_;
   std::int64_t begin_ns_, first_picture_ns_ = 0, next_probe_ns_ = 0, last_report_ns_ = 0;
   std::int64_t drawn_ns_ = 0, scene_arrived_ns_ = 0;

@@ -1,6 +1,7 @@
 #include "viewer/window.h"
 
 #include <fmt/format.h>
+#include <spdlog/spdlog.h>
 
 #include <cstdlib>
 #include <memory>
@@ -28,15 +29,46 @@ std::string glfw_reason() {
   return text ? text : "unknown";
 }
 
+const char* text_of(GLenum what) {
+  const auto* const text = reinterpret_cast<const char*>(glGetString(what));
+  return text ? text : "unknown";
+}
+
 }  // namespace
 
-void Window::Impl::open(int width, int height) {
+Window::Impl::Impl(const Camera& camera, std::string name, bool draws_splats)
+    : title(std::move(name)), splats(draws_splats), steering(camera) {
+  const auto width = static_cast<int>(camera.width), height = static_cast<int>(camera.height);
+  if (open(width, height)) return;
+  std::string reasons = no_window();
+  if (splats) {
+    splats = false;
+    if (open(width, height)) {
+      // Asked for 3.3, a driver gives the newest it has that is compatible.
+      spdlog::warn(
+          "no OpenGL 4.5, which is needed to draw in the window: {} offers OpenGL {}. A rasteriser makes the pictures "
+          "instead, more slowly",
+          text_of(GL_RENDERER), text_of(GL_VERSION));
+      return;
+    }
+    reasons += "; " + no_window();
+  }
+  throw bus::Error(reasons +
+                   "; a newer graphics driver helps, or Mesa's software device (LIBGL_ALWAYS_SOFTWARE=1); without a "
+                   "window, --set out=FOLDER --set frames=1 writes pictures");
+}
+
+std::string Window::Impl::no_window() const {
+  return fmt::format("no window with OpenGL {}: {}", splats ? "4.5" : "3.3", glfw_reason());
+}
+
+bool Window::Impl::open(int width, int height) {
   glfwWindowHint(GLFW_CONTEXT_VERSION_MAJOR, splats ? 4 : 3);
   glfwWindowHint(GLFW_CONTEXT_VERSION_MINOR, splats ? 5 : 3);
   glfwWindowHint(GLFW_OPENGL_PROFILE, GLFW_OPENGL_CORE_PROFILE);
   glfwWindowHint(GLFW_CONTEXT_ROBUSTNESS, GLFW_LOSE_CONTEXT_ON_RESET);
   window = glfwCreateWindow(width, height, title.c_str(), nullptr, nullptr);
-  if (!window) throw bus::Error(fmt::format("no window with OpenGL {}: {}", splats ? "4.5" : "3.3", glfw_reason()));
+  if (!window) return false;
   glfwMakeContextCurrent(window);
   glfwSwapInterval(splats ? 1 : 0);
   glGenTextures(1, &texture);
@@ -44,6 +76,7 @@ void Window::Impl::open(int width, int height) {
   steering.attach(window);
   kept.emplace();
   listen();
+  return true;
 }
 
 void Window::Impl::close() {
@@ -66,7 +99,7 @@ void Window::Impl::reopen() {
   GLFWwindow* const old = std::exchange(window, nullptr);
   const std::unique_ptr<GLFWwindow, decltype(&glfwDestroyWindow)> goes(old, &glfwDestroyWindow);
   ignore(old);
-  open(place.width, place.height);
+  if (!open(place.width, place.height)) throw bus::Error(no_window());
   glfwSetWindowShouldClose(window, glfwWindowShouldClose(old));
   glfwSetWindowPos(window, place.x, place.y);
   if (full) full_screen.fill(window, place);
@@ -131,6 +164,10 @@ Window::Window(const Camera& camera, const std::string& title, For what) {
 Window::~Window() {
   impl_.reset();
   glfwTerminate();
+}
+
+bool Window::takes_splats() const {
+  return impl_->splats;
 }
 
 void Window::reopen() {

@@ -23,20 +23,23 @@ class Window {
   enum class For { Pictures, Splats };
 
   /// Opens with `camera`'s size and begins at its pose. `what`: Pictures come ready made, from OpenGL 3.3 on; Splats
-  /// are drawn in its context, OpenGL 4.5, in step with the display. Throws bus::Error when there is no display, or no
-  /// such context.
+  /// are drawn in its context, OpenGL 4.5, in step with the display; where the driver has none it is for Pictures, and
+  /// says so. Throws bus::Error when there is no display, or no context at all.
   Window(const Camera& camera, const std::string& title, For what = For::Pictures);
   ~Window();
   Window(const Window&) = delete;
   Window& operator=(const Window&) = delete;
 
+  /// Whether it is for Splats.
+  [[nodiscard]] bool takes_splats() const;
   /// Takes what the person did, and moves the camera on to now. Draws a picture that rests anew where figures
   /// and menu are others, or where another window was over it.
   ///
   /// This and swap() throw ContextLost, of gl/context.h.
   void poll_events();
   /// After ContextLost, once nothing is left of what was made in the context: a window in its place, with another
-  /// context, that shows a picture of a moment ago until the next. Throws as the constructor; `this` is of no use then.
+  /// context of the same kind, that shows a picture of a moment ago until the next. Throws bus::Error where there is
+  /// none; `this` is of no use then.
   void reopen();
   /// Waits for something that the person does, at most so long; for a camera that rests.
   void wait_events(std::chrono::milliseconds most);

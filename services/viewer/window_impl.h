@@ -36,14 +36,13 @@ struct Window::Impl {
   std::int64_t swapped_ns = 0;
   FullScreen full_screen;
 
-  Impl(const Camera& camera, std::string name, bool draws_splats)
-      : title(std::move(name)), splats(draws_splats), steering(camera) {
-    open(static_cast<int>(camera.width), static_cast<int>(camera.height));
-  }
+  Impl(const Camera& camera, std::string name, bool draws_splats);
   Impl(const Impl&) = delete;
   Impl& operator=(const Impl&) = delete;
   ~Impl() { close(); }
-  void open(int width, int height);
+  /// False where there is no such context.
+  [[nodiscard]] bool open(int width, int height);
+  [[nodiscard]] std::string no_window() const;
   void close();
   void reopen();
 

@@ -64,7 +64,7 @@ TEST_F(TokenFile, WhatIsWrongIsNamedWithItsLine) {
 TEST_F(TokenFile, AFileThatOthersThanItsOwnerMayWriteToIsRefused) {
   const std::string text = std::string("view ") + kHashOfAbc;
   for (const mode_t mode : {0620, 0602, 0622}) {
-    EXPECT_THAT(refusal(text, mode), HasSubstr("others than its owner may write")) << std::oct << mode;
+    EXPECT_THAT(refusal(text, mode), HasSubstr("other than its owner may write")) << std::oct << mode;
   }
   EXPECT_EQ(refusal(text, 0644), "") << "to read it is no harm: it has hashes";
 }
@@ -131,7 +131,7 @@ TEST(Options, BeyondThisMachineATokenAndTlsAreAskedFor) {
     EXPECT_EQ(problem_of({.http = far, .tokens = "t", .insecure = true}), "") << far;
   }
   EXPECT_THAT(problem_of({.certificate = "c"}), HasSubstr("go together"));
-  EXPECT_THAT(problem_of({.http = "nonsense here"}), HasSubstr("no address and port"));
+  EXPECT_THAT(problem_of({.http = "nonsense here"}), HasSubstr("not an address and port"));
 }
 
 }  // namespace

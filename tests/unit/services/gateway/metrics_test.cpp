@@ -15,6 +15,7 @@ namespace splatbus::gateway_test {
 namespace {
 
 using testing::HasSubstr;
+using testing::Not;
 
 class Figures : public bus_test::BusTest {
  protected:
@@ -52,7 +53,7 @@ class Figures : public bus_test::BusTest {
       publish_stats();
       view_.poll(bus::now_ns());
       const std::int64_t now = bus::now_ns();
-      return view_.stream(now) && view_.trainer(now) && view_.quality() && view_.ill_because(now).empty();
+      return view_.stream(now) && view_.trainer(now) && view_.quality(now) && view_.ill_because(now).empty();
     }));
   }
   [[nodiscard]] std::string metrics() const { return gateway::metrics_text(view_, traffic_, bus::now_ns()); }
@@ -93,52 +94,14 @@ TEST_F(Figures, AreThoseOfTheBus) {
   EXPECT_TRUE(found);
 }
 
-TEST_F(Figures, OfSeveralStreamersAreTheirSumsAndTheModelIsTheNewestsOne) {
-  const auto say = [](const bus::Publisher& publisher, std::uint32_t unit, const char* body) {
-    publisher.publish(topics::kStreamStats, [&](auto& builder, auto header) {
-      const auto types_at = builder.CreateVector(std::vector<flatbuffers::Offset<wire::PacketBytes>>{
-          wire::CreatePacketBytesDirect(builder, "Scene", 10 * unit, 1, 11 * unit),
-          wire::CreatePacketBytesDirect(builder, body, 12 * unit, 1, 13 * unit)});
-      wire::StreamStatsBuilder stats(builder);
-      stats.add_header(header);
-      stats.add_stream_epoch(unit);
-      stats.add_gaussians(unit);
-      stats.add_viewers(2 * unit);
-      stats.add_total_bytes(3 * unit);
-      stats.add_whole_pages(4 * unit);
-      stats.add_lost_packets(5 * unit);
-      stats.add_lost_viewers(6 * unit);
-      stats.add_wire_mbps(7 * unit);
-      stats.add_wire_mbps_mean(8 * unit);
-      stats.add_wire_mbps_peak(9 * unit);
-      stats.add_by_type(types_at);
-      return stats.Finish();
-    });
-  };
-  // "streamer", which is asked first, has the newer model.
-  const bus::Publisher second(connect("streamer-2"));
-  std::optional<gateway::StreamFigures> all;
-  ASSERT_TRUE(bus_test::eventually([&] {
-    say(publisher_, 100, "Page");
-    say(second, 1, "PageDelta");
-    view_.poll(bus::now_ns());
-    all = view_.stream(bus::now_ns());
-    return all && all->by_type.contains("Page") && all->by_type.contains("PageDelta");
-  }));
-  EXPECT_EQ(all->epoch, 100U);
-  EXPECT_EQ(all->gaussians, 100U);
-  EXPECT_EQ(all->viewers, 202U);
-  EXPECT_EQ(all->total_bytes, 303U);
-  EXPECT_EQ(all->whole_pages, 404U);
-  EXPECT_EQ(all->lost_packets, 505U);
-  EXPECT_EQ(all->lost_viewers, 606U);
-  EXPECT_EQ(all->wire_mbps, 707);
-  EXPECT_EQ(all->wire_mbps_mean, 808);
-  EXPECT_EQ(all->wire_mbps_peak, 909);
-  EXPECT_EQ(all->by_type.at("Scene").bytes, 1010U);
-  EXPECT_EQ(all->by_type.at("Scene").packets, 1111U);
-  EXPECT_EQ(all->by_type.at("Page").bytes, 1200U);
-  EXPECT_EQ(all->by_type.at("PageDelta").packets, 13U);
+TEST_F(Figures, OfAComparisonAreGoneOnceNobodyCompares) {
+  gather();
+  const std::int64_t now_ns = bus::now_ns();
+  EXPECT_THAT(gateway::metrics_text(view_, traffic_, now_ns), HasSubstr("\nsplatbus_stream_ssim 0.9375\n"));
+  const std::int64_t later_ns = now_ns + 11'000'000'000;
+  EXPECT_THAT(gateway::metrics_text(view_, traffic_, later_ns), Not(HasSubstr("splatbus_stream_ssim")));
+  EXPECT_THAT(gateway::metrics_text(view_, traffic_, later_ns), Not(HasSubstr("splatbus_stream_psnr_db")));
+  EXPECT_FALSE(gateway::status_json(view_, traffic_, bench_, later_ns).contains("quality"));
 }
 
 // What promtool's "check metrics" asks for, and the format itself.

@@ -43,13 +43,13 @@ TEST_F(PathFileTest, RefusesByFileAndLine) {
   using testing::HasSubstr;
   const auto points = [&](const std::string& text) { return refusal(read_path_points, text); };
   EXPECT_THAT(points("0 0 0\n1 2\n"), EndsWith("way.txt:2: 2 words where 'x y z' or 'teleport' belongs"));
-  EXPECT_THAT(points("0 0 0\n\n1 2 3m\n"), EndsWith("way.txt:3: '3m' is no number"));
+  EXPECT_THAT(points("0 0 0\n\n1 2 3m\n"), EndsWith("way.txt:3: '3m' is not a number"));
   EXPECT_THAT(points("0 0 0\n1 nan 3\n"), HasSubstr("way.txt:2: "));
   EXPECT_THAT(points("0 0 1e9\n"), HasSubstr("way.txt:1: "));
   EXPECT_THAT(points("teleport\n0 0 0\n"), EndsWith("way.txt:1: a teleport from nowhere"));
   EXPECT_THAT(points("0 0 0\nteleport\nteleport\n1 1 1\n"), EndsWith("way.txt:3: a teleport from nowhere"));
   EXPECT_THAT(points("0 0 0\nteleport\n"), EndsWith("way.txt:2: a teleport to nowhere"));
-  EXPECT_THAT(points("# nothing\n"), EndsWith("way.txt: no point in it"));
+  EXPECT_THAT(points("# nothing\n"), EndsWith("way.txt: it holds no point"));
   EXPECT_THAT(points("0 0 0 0 1 0 0 0\n"), HasSubstr("way.txt:1: 8 words"));
   const auto poses = [&](const std::string& text) { return refusal(read_path_poses, text); };
   EXPECT_THAT(poses("0 0 0\n"), EndsWith("way.txt:1: 3 words where 't x y z qw qx qy qz' or 'teleport' belongs"));

@@ -59,8 +59,8 @@ class WindowTest : public StreamTest {
       fs::copy(out_, fs::path(folder) / name, fs::copy_options::recursive | fs::copy_options::overwrite_existing);
   }
 
-  /// Until something is seen. `from`: --connect ENDPOINT where it says nothing else.
-  void start(const std::vector<std::string>& more = {}, std::vector<std::string> from = {}) {
+  /// `from`: --connect ENDPOINT where it says nothing else.
+  void launch(const std::vector<std::string>& more = {}, std::vector<std::string> from = {}) {
     if (from.empty()) from = {"--connect", endpoint()};
     std::vector<std::string> arguments = std::move(from);
     arguments.emplace_back("--window");
@@ -77,6 +77,10 @@ class WindowTest : public StreamTest {
     if (!preloaded_.empty()) ::setenv("LD_PRELOAD", preloaded_.c_str(), 1);
     viewer_.emplace("splatbus-viewer", arguments, directory_.path() + "/log");
     ::unsetenv("LD_PRELOAD");
+  }
+  /// Until something is seen.
+  void start(const std::vector<std::string>& more = {}, std::vector<std::string> from = {}) {
+    launch(more, std::move(from));
     ASSERT_TRUE(soon([&] { return cv::mean(display_->screen()(kPicture))[1] > 1; })) << log();
     Display::act("search --sync --name splatbus windowfocus --sync mousemove 20 300");
   }
