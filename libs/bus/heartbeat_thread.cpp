@@ -22,6 +22,7 @@ namespace {
 
 constexpr std::int64_t beat_ns = 200'000'000, longest_wait_ms = 20;
 constexpr std::int64_t longest_trace_ns = 10'000'000'000;
+constexpr std::int64_t patience_ns = 3'000'000'000;  // a bus and its services are started together
 
 /// As much of it as a heartbeat may have, in whole characters and with a mark that it is cut: with more the broker
 /// would refuse it, and the service look dead.
@@ -59,7 +60,9 @@ void HeartbeatThread::finish(wire::ServiceState state, const std::string& reason
 }
 
 void HeartbeatThread::run(const std::stop_token& stop) {
-  std::int64_t next_beat = now_ns() + beat_ns;
+  const std::int64_t began = now_ns();
+  std::int64_t next_beat = began + beat_ns;
+  bool has_looked = false;
   while (!stop.stop_requested()) {
     const std::int64_t left_ms = std::max<std::int64_t>(0, (next_beat - now_ns()) / 1'000'000);
     // A short wait: others start when this one is ready, and finish() waits for the thread.
@@ -68,6 +71,12 @@ void HeartbeatThread::run(const std::stop_token& stop) {
     if (due || state() != said_state_) beat(state());
     if (!due) continue;
     next_beat = std::max(next_beat + beat_ns, now_ns());
+    if (!has_looked && now_ns() - began > patience_ns) {
+      has_looked = true;
+      if (!service_.bus->wait_connected(std::chrono::milliseconds(0))) {
+        spdlog::warn("no broker answers at {} yet; this waits for one", service_.bus->address().text());
+      }
+    }
     publish_spans();
   }
 }

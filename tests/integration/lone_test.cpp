@@ -48,6 +48,20 @@ TEST_P(Lone, AServiceWithoutABusEndsWhenItIsToldTo) {
   }
 }
 
+TEST(LoneService, SaysThatThereIsNoBroker) {
+  const bus_test::TemporaryDirectory folder;
+  const std::string bus = "ipc://" + folder.path() + "/none";
+  ChildProcess child(SPLATBUS_BIN_DIR + std::string("/splatbus-trainer"), {"--bus", bus}, test_environment());
+  std::string said;
+  while (said.find("no broker answers at " + bus) == std::string::npos) {
+    pollfd output{.fd = child.output_fd(), .events = POLLIN, .revents = 0};
+    ASSERT_EQ(::poll(&output, 1, 60'000), 1) << said;
+    const auto lines = child.read_lines(false);
+    ASSERT_FALSE(lines.empty() && (output.revents & POLLHUP) != 0) << said;
+    for (const std::string& line : lines) said += line + "\n";
+  }
+}
+
 INSTANTIATE_TEST_SUITE_P(Services, Lone,
                          testing::Values("capture-bridge", "expander", "trainer", "relight", "streamer"),
                          [](const auto& instance) {

@@ -159,15 +159,20 @@ class WindowTest : public StreamTest {
     return save_resting_picture();
   }
 
-  /// Where the camera is once it rests.
+  /// Where the camera is once it rests: it says so each second then.
   Rigid resting_pose() {
-    Rigid pose, before;
+    constexpr int kTimes = 3;
+    while (poses_.receive(1ms)) {
+    }
+    Rigid pose;
+    int times = 0;
     EXPECT_TRUE(soon([&] {
       while (const auto message = poses_.receive(1ms)) {
-        pose = from_wire(*message->root<wire::ViewerPose>().camera()).world_from_camera;
+        const Rigid next = from_wire(*message->root<wire::ViewerPose>().camera()).world_from_camera;
+        times = next == pose ? times + 1 : 1;
+        pose = next;
       }
-      std::this_thread::sleep_for(600ms);
-      return std::exchange(before, pose) == pose && !(pose == Rigid{});
+      return times >= kTimes && !(pose == Rigid{});
     }));
     return pose;
   }
