@@ -9,8 +9,8 @@ fail() { echo "FAILED: $*" >&2; exit 1; }
 within() { chroot "$root" env -i PATH=/usr/sbin:/usr/bin:/sbin:/bin HOME=/root DEBIAN_FRONTEND=noninteractive "$@"; }
 clean() {
   [ -z "${run:-}" ] || { kill "$run" 2>/dev/null || true; wait "$run" 2>/dev/null || true; }
-  umount "$root"/{dev/shm,dev,proc} 2>/dev/null || true
-  mountpoint -q "$root/dev" || rm -rf "$root"
+  umount -l "$root"/{dev/shm,dev,proc} 2>/dev/null || true
+  mountpoint -q "$root/dev" || rm -rf --one-file-system "$root"
 }
 trap clean EXIT
 begin() { step="$1" begun="$(date +%s.%N)"; }
