@@ -228,6 +228,7 @@ void take_appended(ReplicatedState& state, const DeltaReader& delta, const Step&
   for (std::uint32_t i = 0; i < rows.size(); ++i) rows[i] = page.row(step.left + i);
   state.gaussians.write(rows, delta.appended, step.first_appended);
   change.rows.insert(change.rows.end(), rows.begin(), rows.end());
+  change.arrivals.insert(change.arrivals.end(), rows.begin(), rows.end());
 }
 
 void finish_step(ReplicatedState& state, const DeltaReader& delta, Step& step, HeldPage& page, Change& change) {
@@ -235,7 +236,7 @@ void finish_step(ReplicatedState& state, const DeltaReader& delta, Step& step, H
   take_appended(state, delta, step, page, change);
   page.version = step.said.version();
   if (other_lanes) page.structure = page.version;
-  page.missing = 0;
+  page.missing = page.others = 0;
   page.frozen = false;
   ReplicatedState::show(page, change);
   change.taken.push_back(step.said.page());

@@ -75,6 +75,7 @@ Change apply_page(ReplicatedState& state, const wire::Page& body, std::span<cons
   HeldPage& page = state.pages[body.page()];
   state.set_count(page, body.count(), change);
   if (!same) {
+    page.others = page.structure == body.structure() ? page.others & page.missing : ~0U;
     page.version = body.version();
     page.structure = body.structure();
     page.missing = (1U << HeldPage::blocks_of(page.count)) - 1;
@@ -86,7 +87,11 @@ Change apply_page(ReplicatedState& state, const wire::Page& body, std::span<cons
   page.level = body.level();
   page.frozen = body.frozen();
   const AttributeChannels* sun = state.layout.find(Attribute::Visibility);
-  for (std::uint32_t i = 0; i < body.part(); ++i) change.rows.push_back(page.row(body.first() + i));
+  for (std::uint32_t lane = body.first(); lane < body.first() + body.part(); ++lane) {
+    const std::uint32_t row = page.row(lane), block = lane / kBlockRows;
+    change.rows.push_back(row);
+    if ((page.others >> block & 1U) != 0 || lane % kBlockRows >= page.shown[block]) change.arrivals.push_back(row);
+  }
   state.gaussians.write(change.rows, lanes, 0);
   for (const std::uint32_t row : change.rows) {
     if (sun) state.gaussians.channels[sun->first].set(row, kAllSeen);
@@ -104,6 +109,7 @@ Change apply_page(ReplicatedState& state, const wire::Page& body, std::span<cons
   const std::uint32_t end = HeldPage::blocks_of(body.first() + body.part());
   for (std::uint32_t k = body.first() / kBlockRows; k < end; ++k) {
     page.missing &= ~(1U << k);
+    page.others &= ~(1U << k);
     const std::uint32_t shown = HeldPage::block_lanes(page.count, k);
     if (std::exchange(page.shown[k], shown) != shown) change.blocks.push_back({page.blocks[k], shown});
   }

@@ -49,6 +49,10 @@ void GpuRows::on_reset(const ReplicatedState& shown) {
   unsent_ = stale_.size();
   recolored_ = 0;
   stale_.resize(std::max(stale_.size(), shown.rows()), kNothing);
+  // Another state is mostly the same world again: it takes the place of what was there row by row.
+  origin_.resize(stale_.size(), kNoRow);
+  for (std::uint32_t row = 0; row < shown_.size() * kBlockRows; ++row) origin_[row] = is_shown(row) ? row : kNoRow;
+  any_moved_ = false;
   shown_.assign(stale_.size() / kBlockRows, 0);
   for (const auto& [number, page] : shown.pages) {
     for (std::uint32_t k = 0; k < HeldPage::blocks_of(page.count); ++k) show(page.blocks[k], page.shown[k]);
@@ -69,7 +73,10 @@ void GpuRows::on_change(const ReplicatedState& shown, const Change& change) {
   if (shown.rows() > stale_.size()) {
     stale_.resize(shown.rows(), kNothing);
     shown_.resize(shown.rows() / kBlockRows, 0);
+    origin_.resize(shown.rows(), kNoRow);
   }
+  follow_moves(change.moves);
+  for (const std::uint32_t row : change.arrivals) origin_[row] = kNoRow;
   for (const Change::Block& block : change.blocks) show(block.block, block.count);
   mark_all(change.rows, kRecord);
   mark_all(change.objects, kRecord);
@@ -85,6 +92,24 @@ void GpuRows::on_change(const ReplicatedState& shown, const Change& change) {
     forget_objects();
     forget_taken();
   }
+}
+
+void GpuRows::follow_moves(const std::vector<Change::Move>& moves) {
+  std::vector<std::uint32_t> origins;
+  origins.reserve(moves.size());
+  for (const Change::Move& move : moves) origins.push_back(is_shown(move.from) ? origin_[move.from] : kNoRow);
+  for (std::size_t k = 0; k < moves.size(); ++k) origin_[moves[k].to] = origins[k];
+  any_moved_ = any_moved_ || !moves.empty();
+}
+
+std::vector<bool> GpuRows::moved_away() const {
+  std::vector<bool> moved(stale_.size());
+  for (std::uint32_t row = 0; any_moved_ && row < stale_.size(); ++row) {
+    if (stale_[row] == kRecord && is_shown(row) && origin_[row] != row && origin_[row] != kNoRow) {
+      moved[origin_[row]] = true;
+    }
+  }
+  return moved;
 }
 
 void GpuRows::show(std::uint32_t block, std::uint32_t count) {
@@ -225,7 +250,7 @@ class GpuRows::Shader {
 };
 
 void GpuRows::take_records(std::size_t most, std::vector<std::uint32_t>& rows, std::vector<GpuRecord>& records,
-                           std::vector<std::uint32_t>* harmonics) {
+                           std::vector<std::uint32_t>* harmonics, Turnover* turnover) {
   find_rows(std::min(most, unsent_), kRecord, record_cursor_, rows);
   const SparseRows<std::uint32_t>& object_ids = replica_.shown().gaussians.object_id;
   // The scene is followed for all objects before there is a colour.
@@ -236,15 +261,25 @@ void GpuRows::take_records(std::size_t most, std::vector<std::uint32_t>& rows, s
   records.assign(rows.size(), {});
   const std::size_t words = harmonics ? harmonic_words(replica_.shown().layout) : 0;
   if (harmonics) harmonics->assign(words * rows.size(), 0);
+  if (turnover) {
+    const std::vector<bool> moved = moved_away();
+    *turnover = {};
+    for (const std::uint32_t row : rows) {
+      turnover->origins.push_back(is_shown(row) ? origin_[row] : kNoRow);
+      turnover->left.push_back(turnover->origins.back() == row || moved[row] ? 0 : 1);
+    }
+  }
   Shader shader(*this);
   for (std::size_t k = 0; k < rows.size(); ++k) {
     stale_[rows[k]] = kNothing;
+    origin_[rows[k]] = rows[k];
     const std::uint32_t object = is_shown(rows[k]) ? index_of(object_ids[rows[k]]) : kHidden;
     if (object == kHidden) continue;
     records[k] = shader.record(rows[k], object);
     if (words > 0) shader.harmonics(rows[k], std::span(*harmonics).subspan(words * k, words));
   }
   unsent_ -= rows.size();
+  any_moved_ = any_moved_ && unsent_ > 0;
 }
 
 void GpuRows::take_colors(std::size_t most, std::vector<std::uint32_t>& rows, std::vector<std::uint32_t>& colors) {

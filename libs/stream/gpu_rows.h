@@ -24,6 +24,14 @@ class GpuRows final : public ShownObserver {
   GpuRows(const GpuRows&) = delete;
   GpuRows& operator=(const GpuRows&) = delete;
 
+  /// As an origin: in no row.
+  static constexpr std::uint32_t kNoRow = 0xFFFFFFFFU;
+  /// What has become of rows since they were last taken, for who lets Gaussians fade that arrive or leave.
+  struct Turnover {
+    std::vector<std::uint32_t> origins;  ///< in which row what is in each now was then, kNoRow where it was in none
+    std::vector<std::uint8_t> left;      ///< whether what was in it then is in no row now
+  };
+
   void on_reset(const ReplicatedState& shown) override;
   void on_change(const ReplicatedState& shown, const Change& change) override;
 
@@ -31,7 +39,7 @@ class GpuRows final : public ShownObserver {
   /// in them now: a row that is free has no opacity. What is there already is overwritten.
   /// `harmonics`: harmonic_words() of each; for who draws them.
   void take_records(std::size_t most, std::vector<std::uint32_t>& rows, std::vector<GpuRecord>& records,
-                    std::vector<std::uint32_t>* harmonics = nullptr);
+                    std::vector<std::uint32_t>* harmonics = nullptr, Turnover* turnover = nullptr);
   /// The same of rows in which nothing but the colour has changed. With harmonics there are none: they go with records.
   void take_colors(std::size_t most, std::vector<std::uint32_t>& rows, std::vector<std::uint32_t>& colors);
   /// As if nothing had been taken: the GPU's memory was lost.
@@ -69,6 +77,10 @@ class GpuRows final : public ShownObserver {
   /// kHidden when there is no room for another.
   [[nodiscard]] std::uint32_t index_of(std::uint32_t object_id);
   void forget_objects();
+  /// Where Gaussians have been, before anything else of the change.
+  void follow_moves(const std::vector<Change::Move>& moves);
+  /// [capacity()] Whether another row has the Gaussian that was in a row when it was last taken.
+  [[nodiscard]] std::vector<bool> moved_away() const;
   void mark(std::uint32_t row, Stale what);
   void mark_all(const std::vector<std::uint32_t>& rows, Stale what);
   /// How many rows of a block are Gaussians.
@@ -83,6 +95,9 @@ class GpuRows final : public ShownObserver {
   Replica& replica_;
   std::vector<std::uint32_t> shown_;  ///< rows of each block
   std::vector<std::uint8_t> stale_;   ///< [capacity()]
+  /// [capacity()] The row that had its Gaussian when that row was last taken.
+  std::vector<std::uint32_t> origin_;
+  bool any_moved_ = false;  ///< of what has not been taken
   std::size_t unsent_ = 0, recolored_ = 0;
   std::size_t record_cursor_ = 0, color_cursor_ = 0;
   bool objects_are_new_ = true, objects_are_full_ = false;

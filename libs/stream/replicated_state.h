@@ -27,6 +27,7 @@ struct HeldPage {
   std::uint32_t version = 0, structure = 0;
   std::uint32_t count = 0;    ///< Gaussians of the page
   std::uint32_t missing = 0;  ///< a bit for each block of lanes that is not of this version yet
+  std::uint32_t others = 0;   ///< of those that are missing: what is shown there is of another structure
   std::uint8_t level = 0;
   bool frozen = false;
   std::array<std::uint32_t, kPageBlocks> blocks{};  ///< the first blocks_of(count) are its own
@@ -96,8 +97,9 @@ struct Change {
   struct Move {
     std::uint32_t from = 0, to = 0;
   };
-  bool layout = false;              ///< everything before is gone
-  std::vector<std::uint32_t> rows;  ///< all values of them are others; in no order
+  bool layout = false;                  ///< everything before is gone
+  std::vector<std::uint32_t> rows;      ///< all values of them are others; in no order
+  std::vector<std::uint32_t> arrivals;  ///< of `rows`: their Gaussians were in no row before
   std::vector<Values> values;
   std::vector<std::uint32_t> objects;
   std::vector<Seen> seen;

@@ -14,9 +14,23 @@ constexpr std::size_t kMostRows = stream::kMaxGaussians * 2;  // a batch: all, a
 constexpr std::size_t kSampled = 20000;                       // rows, for the bounds
 constexpr double kOutside = 0.03;                             // of the samples along each axis, on either side
 constexpr float kBoundsEvery_s = 1;
+constexpr std::size_t kLeastSpareRows = 4096, kSpareShare = 4;  // rows of what vanishes: so many, or a part of all
+// Of what stands for another: how much larger it may be, in stream::kLogScaleStep, and how far away, of its size.
+constexpr int kLogTwo = 710;
+constexpr float kNear = 0.25F;
 
 bool is_there(const stream::GpuRecord& record) {
   return (record.opacity_object & 0xFFU) > 0;
+}
+
+/// Whether one stands for the other, so that to see both would be too much: a page that came whole has most of its
+/// Gaussians again, about where they were.
+bool resembles(const stream::GpuRecord& a, const stream::GpuRecord& b) {
+  if (a.opacity_object >> 8 != b.opacity_object >> 8) return false;
+  const int size_a = *std::ranges::max_element(a.log_scale), size_b = *std::ranges::max_element(b.log_scale);
+  const glm::vec3 apart(a.mean[0] - b.mean[0], a.mean[1] - b.mean[1], a.mean[2] - b.mean[2]);
+  return std::abs(size_a - size_b) < kLogTwo &&
+         glm::length(apart) < kNear * std::exp(stream::kLogScaleStep * static_cast<float>(std::min(size_a, size_b)));
 }
 
 }  // namespace
@@ -24,12 +38,14 @@ bool is_there(const stream::GpuRecord& record) {
 RowFeed::RowFeed(stream::Replica& replica, bool fades) : replica_(replica), rows_(replica), fades_on_(fades) {}
 
 void RowFeed::fit(std::size_t harmonic_words) {
-  if (rows_.capacity() > records_.size()) {
-    records_.resize(rows_.capacity());
-    fades_.resize(rows_.capacity(), gl::kNoFade);
-  }
   if (std::exchange(harmonic_words_, harmonic_words) != harmonic_words) harmonics_.clear();  // another model
-  harmonics_.resize(harmonic_words * records_.size());
+  resize(std::max(rows_.capacity(), records_.size()));
+}
+
+void RowFeed::resize(std::size_t rows) {
+  records_.resize(rows);
+  fades_.resize(rows, gl::kNoFade);
+  harmonics_.resize(harmonic_words_ * rows);
 }
 
 void RowFeed::add_harmonics(gl::RowUpdate& out) const {
@@ -42,30 +58,74 @@ void RowFeed::add_harmonics(gl::RowUpdate& out) const {
   }
 }
 
+void RowFeed::displace(std::uint32_t row, float fade) {
+  const auto first = harmonics_.begin() + static_cast<std::ptrdiff_t>(harmonic_words_ * row);
+  displaced_.push_back({records_[row], fade, {first, first + static_cast<std::ptrdiff_t>(harmonic_words_)}});
+}
+
 void RowFeed::take_rows(float now_s, gl::RowUpdate& out) {
   std::vector<std::uint32_t> harmonics;
-  rows_.take_records(kMostRows, out.rows, out.records, &harmonics);
+  stream::GpuRows::Turnover turnover;
+  rows_.take_records(kMostRows, out.rows, out.records, &harmonics, &turnover);
   fit(stream::harmonic_words(replica_.shown().layout));
-  out.fades.resize(out.rows.size());
+  out.fades.resize(out.rows.size(), gl::kNoFade);
+  for (std::size_t k = 0; k < out.rows.size(); ++k) {  // who moves goes on with his fade
+    if (turnover.origins[k] < fades_.size()) out.fades[k] = std::max(fades_[turnover.origins[k]], gl::kNoFade);
+  }
   for (std::size_t k = 0; k < out.rows.size(); ++k) {
     const std::uint32_t row = out.rows[k];
     float& fade = fades_[row];
-    const bool was = is_there(records_[row]) && fade >= 0, is = is_there(out.records[k]);
-    if (fades_on_ && was && !is) {
-      out.records[k] = records_[row];
-      fade = -now_s;
-      vanishing_.push_back({row, now_s});
-    } else {
-      if (fades_on_ && is && !was) fade = now_s;
-      if (!is && fade < 0) out.records[k] = records_[row];
-      records_[row] = out.records[k];
-      if (is) {
-        const auto first = harmonics.begin() + static_cast<std::ptrdiff_t>(harmonic_words_ * k);
-        std::copy_n(first, harmonic_words_, harmonics_.begin() + static_cast<std::ptrdiff_t>(harmonic_words_ * row));
-      }
+    stream::GpuRecord &held = records_[row], &taken = out.records[k];
+    const bool was = is_there(held), is = is_there(taken), vanishes = was && fade < 0;
+    const bool leaves = was && (vanishes || turnover.left[k] != 0);
+    if (fades_on_ && leaves && !is) {
+      if (!vanishes) vanishing_.push_back({row, now_s});
+      out.fades[k] = fade = vanishes ? fade : -now_s;
+      taken = held;
+      continue;
     }
-    out.fades[k] = fade;
+    const bool replaced = leaves && is && (vanishes || !resembles(held, taken));
+    if (fades_on_ && replaced) displace(row, vanishes ? fade : -now_s);
+    const bool arrived = turnover.origins[k] == stream::GpuRows::kNoRow && (!leaves || replaced);
+    if (fades_on_ && is && arrived) out.fades[k] = now_s;
+    fade = out.fades[k];
+    held = taken;
+    const auto first = harmonics.begin() + static_cast<std::ptrdiff_t>(harmonic_words_ * k);
+    std::copy_n(first, harmonic_words_, harmonics_.begin() + static_cast<std::ptrdiff_t>(harmonic_words_ * row));
   }
+  if (!displaced_.empty()) place_displaced(out);
+}
+
+void RowFeed::place_displaced(gl::RowUpdate& out) {
+  const auto put = [&](std::size_t k) {
+    const Displaced& one = displaced_.back();
+    const std::uint32_t row = out.rows[k];
+    out.records[k] = records_[row] = one.record;
+    out.fades[k] = fades_[row] = one.fade;
+    std::ranges::copy(one.harmonics, harmonics_.begin() + static_cast<std::ptrdiff_t>(harmonic_words_ * row));
+    vanishing_.push_back({row, -one.fade});  // those that vanished already come late: nothing of them is seen by then
+    displaced_.pop_back();
+  };
+  std::vector<bool> taken(records_.size());
+  const std::size_t most = rows_.capacity() + std::max(kLeastSpareRows, rows_.capacity() / kSpareShare);
+  for (std::size_t k = 0, count = out.rows.size(); k < count; ++k) {
+    taken[out.rows[k]] = true;
+    if (!displaced_.empty() && !is_there(out.records[k])) put(k);
+  }
+  const auto put_into = [&](std::size_t row) {
+    out.rows.push_back(static_cast<std::uint32_t>(row));
+    out.records.emplace_back();
+    out.fades.push_back(gl::kNoFade);
+    put(out.rows.size() - 1);
+  };
+  for (std::size_t seen = 0, rows = records_.size(); seen < rows && !displaced_.empty(); ++seen) {
+    free_cursor_ = free_cursor_ + 1 < rows ? free_cursor_ + 1 : 0;
+    if (!taken[free_cursor_] && !is_there(records_[free_cursor_])) put_into(free_cursor_);
+  }
+  const std::size_t rows = records_.size();
+  resize(std::max(rows, std::min(most, rows + displaced_.size())));
+  for (std::size_t row = rows; row < records_.size(); ++row) put_into(row);
+  displaced_.clear();  // the rest vanishes at once
 }
 
 std::vector<std::uint32_t> RowFeed::free_vanished(float now_s) {

@@ -10,7 +10,8 @@
 
 namespace splatbus::viewer {
 
-/// What a gl::Stage is given of a replica: the rows that have changed and nothing else. Rows that arrive or leave fade.
+/// What a gl::Stage is given of a replica: the rows that have changed and nothing else. Gaussians that arrive or leave
+/// fade, and those that take another row do not: whoever leaves while another takes his row vanishes in a free one.
 /// One thread, the replica's.
 class RowFeed {
  public:
@@ -25,8 +26,17 @@ class RowFeed {
   [[nodiscard]] std::size_t capacity() const { return records_.size(); }
 
  private:
+  struct Displaced {
+    stream::GpuRecord record;
+    float fade;
+    std::vector<std::uint32_t> harmonics;
+  };
   void take_rows(float now_s, gl::RowUpdate& out);
+  void displace(std::uint32_t row, float fade);
+  /// Gives those that were displaced rows that nobody has, behind all others where there are none.
+  void place_displaced(gl::RowUpdate& out);
   void fit(std::size_t harmonic_words);
+  void resize(std::size_t rows);
   void add_harmonics(gl::RowUpdate& out) const;
   /// Rows that have faded away, and are free from now on.
   [[nodiscard]] std::vector<std::uint32_t> free_vanished(float now_s);
@@ -47,6 +57,8 @@ class RowFeed {
     float since_s;
   };
   std::deque<Vanishing> vanishing_;
+  std::vector<Displaced> displaced_;  ///< while rows are taken
+  std::size_t free_cursor_ = 0;       ///< where the search for free rows goes on
   float bounded_s_ = -1;
 };
 

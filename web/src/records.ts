@@ -17,7 +17,17 @@ export interface Harmonics {
   readonly values: Uint32Array;
 }
 
-/** Rows that changed. A row keeps its Gaussian until that is removed. */
+/** As an origin: in no row. */
+export const kNoRow = 0xffffffff;
+/** What has become of rows that changed. */
+export interface Turnover {
+  /** [n] In which row what is in each now was before, kNoRow where it was in none. */
+  readonly origins: Uint32Array;
+  /** [n] 1 where what was in it is in no row any more. */
+  readonly left: Uint8Array;
+}
+
+/** Rows that changed. */
 export interface RowUpdate {
   /** [n] ascending or not, each once. */
   readonly rows: Uint32Array;
@@ -61,4 +71,9 @@ export interface SceneTime {
 export const kNoScene: Scene = { transforms: new Float32Array(0), farField: 0, player: 0, background: [0, 0, 0], displaySpace: false };
 
 export const opacityOf = (records: Uint32Array, index: number): number => records[kRecordWords * index + 6] & 0xff;
+/** Of the largest axis, as the record has it. */
+export const logSizeOf = (records: Uint32Array, index: number): number => {
+  const xy = records[kRecordWords * index + 3];
+  return Math.max((xy << 16) >> 16, xy >> 16, (records[kRecordWords * index + 4] << 16) >> 16);
+};
 export const objectOf = (records: Uint32Array, index: number): number => records[kRecordWords * index + 6] >>> 8;

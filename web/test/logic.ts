@@ -20,5 +20,6 @@ export { Arrival } from '../src/stream/arrival';
 export { FiguresDue } from '../src/stream/figures_due';
 export { saysOutOfMemory } from '../src/stream/out_of_memory';
 export { StreamLink } from '../src/stream/stream_link';
+export { kNoRow } from '../src/records';
 export { Publisher } from '../src/stream/publisher';
 export { RowMirror } from '../src/stream/row_mirror';

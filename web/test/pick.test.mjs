@@ -29,7 +29,7 @@ const sceneOf = (transforms, farField = 0) => ({ transforms: new Float32Array(tr
 function mirrorOf(gaussians, nowS = 1) {
   const mirror = new logic.RowMirror();
   const rows = Uint32Array.from(gaussians, (_, row) => row);
-  mirror.take({ rows, records: logic.packRecords(gaussians) }, nowS);
+  mirror.take({ rows, records: logic.packRecords(gaussians), turnover: { origins: rows.map(() => logic.kNoRow), left: new Uint8Array(rows.length) } }, nowS);
   return mirror;
 }
 
@@ -118,7 +118,7 @@ test('what is hidden, far away or on its way out is no surface, and what moves i
   near(middle(sky, sceneOf([...kIdentity, ...kIdentity], 1)), -3);
 
   const vanishing = mirrorOf([disc(-3, 1), disc(1, 1)]);
-  vanishing.take({ rows: new Uint32Array([1]), records: new Uint32Array(8) }, 2);
+  vanishing.take({ rows: new Uint32Array([1]), records: new Uint32Array(8), turnover: { origins: new Uint32Array([logic.kNoRow]), left: new Uint8Array([1]) } }, 2);
   near(middle(vanishing), -3);
   assert.equal(middle(new logic.RowMirror()), null);
   assert.equal(middle(mirrorOf([disc(4.5, 1), disc(3.97, 1)])), null, 'behind the eye, or too near to it');

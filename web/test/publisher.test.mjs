@@ -8,13 +8,16 @@ const kPages = process.env.SPLATBUS_WEB_TESTS ?? '../build/release/web-tests';
 const logic = await import(pathToFileURL(resolve(kPages, 'logic.js')));
 
 const record = (opacity, color = 7) => [0, 0, 0, 0, 0, 0, opacity, color];
-const update = (mirror, rows, nowS) =>
-  mirror.take({ rows: new Uint32Array(Object.keys(rows).map(Number)), records: new Uint32Array(Object.values(rows).flat()) }, nowS);
+const { kNoRow } = logic;
+const turnoverOf = (origins, left) => ({ origins: new Uint32Array(origins), left: new Uint8Array(left) });
+/** `origins` and `left` of each row: all have arrived, and whoever was there has left. */
+const update = (mirror, rows, nowS, origins = Object.keys(rows).map(() => kNoRow), left = origins.map(() => 1)) =>
+  mirror.take({ rows: new Uint32Array(Object.keys(rows).map(Number)), records: new Uint32Array(Object.values(rows).flat()), turnover: turnoverOf(origins, left) }, nowS);
 
 test('rows that appear and vanish fade, those that change do not', () => {
   const mirror = new logic.RowMirror();
   assert.deepEqual([...update(mirror, { 3: record(200) }, 10).fades], [10]);
-  assert.deepEqual([...update(mirror, { 3: record(100), 5: record(50) }, 11).fades], [10, 11]);
+  assert.deepEqual([...update(mirror, { 3: record(100), 5: record(50) }, 11, [3, kNoRow], [0, 1]).fades], [10, 11]);
   const gone = update(mirror, { 3: record(0) }, 12);
   assert.deepEqual([...gone.fades], [-12]);
   assert.deepEqual([...gone.records], record(100), 'it is still to be seen');
@@ -29,7 +32,7 @@ test('harmonics fade with their rows, and are there for who begins anew', () => 
   const mirror = new logic.RowMirror();
   const radiant = (row, opacity, value, nowS) => {
     const harmonics = { words: 4, values: new Uint32Array(4).fill(value) };
-    return mirror.take({ rows: new Uint32Array([row]), records: new Uint32Array(record(opacity)), harmonics }, nowS);
+    return mirror.take({ rows: new Uint32Array([row]), records: new Uint32Array(record(opacity)), turnover: turnoverOf([kNoRow], [1]), harmonics }, nowS);
   };
   radiant(3, 200, 11, 10);
   radiant(5, 200, 12, 10);
@@ -43,13 +46,61 @@ test('harmonics fade with their rows, and are there for who begins anew', () => 
   assert.equal(mirror.everything().harmonics, undefined);
 });
 
-test('a row that is given away while it fades stays', () => {
+/** Somewhere else than what record() makes, too far for the one to stand for the other. */
+const elsewhere = (opacity, color = 7) => [...new Uint32Array(new Float32Array([5, 0, 0]).buffer), 0, 0, 0, opacity, color];
+/** What a picture shows of rows, as {row: [opacity, fade]}. */
+const seen = ({ rows, records, fades }) => Object.fromEntries([...rows].map((row, k) => [row, [records[8 * k + 6], Math.fround(fades[k])]]));
+
+test('a row that is given away while it fades stays, and what was in it fades on in another', () => {
   const mirror = new logic.RowMirror();
-  update(mirror, { 3: record(200) }, 10);
-  update(mirror, { 3: record(0) }, 11);
-  assert.deepEqual([...update(mirror, { 3: record(90) }, 11.1).fades], [Math.fround(11.1)]);
+  update(mirror, { 2: record(10), 3: record(200) }, 10);
+  update(mirror, { 2: record(0), 3: record(0) }, 11);
+  mirror.takeVanished(11.5);
+  update(mirror, { 3: record(200) }, 12);
+  update(mirror, { 3: record(0) }, 13);
+  assert.deepEqual(seen(update(mirror, { 3: elsewhere(90) }, 13.1)), { 1: [200, -13], 3: [90, Math.fround(13.1)] });
+  assert.deepEqual([...mirror.takeVanished(14).rows], [1]);
+  assert.deepEqual([...mirror.everything().records], elsewhere(90));
+  assert.equal(mirror.count, 1);
+});
+
+test('who takes the row of another lets it vanish in a free one', () => {
+  const mirror = new logic.RowMirror();
+  update(mirror, { 0: record(10), 1: record(20), 2: record(30) }, 10);
+  // A page's last Gaussian fills the gap of one that is gone, and the row behind is free.
+  const moved = update(mirror, { 1: elsewhere(30), 2: record(0) }, 11, [2, kNoRow], [1, 0]);
+  assert.deepEqual(seen(moved), { 1: [30, 10], 2: [20, -11] });
+  assert.deepEqual([...moved.rows], [1, 2], 'each once');
+  assert.equal(mirror.count, 2);
+  assert.deepEqual([...mirror.takeVanished(11.3).rows], [2]);
+  // Where no row is free, in one behind all others, which the model may come to have itself.
+  update(mirror, { 2: record(40) }, 12);
+  assert.deepEqual(seen(update(mirror, { 2: elsewhere(50) }, 13)), { 2: [50, 13], 3: [40, -13] });
+  assert.deepEqual(seen(update(mirror, { 3: elsewhere(60) }, 13.1)), { 3: [60, Math.fround(13.1)], 4: [40, -13] });
+  assert.deepEqual([...mirror.takeVanished(13.5).rows], [4]);
+  assert.equal(mirror.takeVanished(14), null);
+});
+
+test('who moves neither fades nor vanishes, and who stands for another does not either', () => {
+  const mirror = new logic.RowMirror();
+  update(mirror, { 0: record(10), 1: record(20), 2: record(0) }, 10);
+  assert.deepEqual(seen(update(mirror, { 1: record(0), 2: record(20) }, 10.1, [kNoRow, 1], [0, 0])), { 1: [0, 0], 2: [20, 10] }, 'it goes on to appear');
   assert.equal(mirror.takeVanished(12), null);
-  assert.deepEqual([...mirror.everything().records], record(90));
+  assert.deepEqual(seen(update(mirror, { 0: record(15) }, 13)), { 0: [15, 0] });
+  assert.equal(mirror.takeVanished(14), null);
+});
+
+test('harmonics go with what is displaced', () => {
+  const mirror = new logic.RowMirror();
+  const take = (rows, records, values, nowS) =>
+    mirror.take({ rows: new Uint32Array(rows), records: new Uint32Array(records.flat()), turnover: turnoverOf(rows.map(() => kNoRow), rows.map(() => 1)), harmonics: { words: 4, values: new Uint32Array(values.flatMap((value) => [value, value, value, value])) } }, nowS);
+  take([0, 1, 5], [record(10), record(20), record(30)], [1, 2, 3], 10);
+  const { rows, harmonics } = take([0], [elsewhere(40)], [4], 11);
+  assert.equal(rows.length, 2);
+  assert.deepEqual([...harmonics.values], [4, 4, 4, 4, 1, 1, 1, 1]);
+  const all = mirror.everything();
+  const first = (row) => all.harmonics.values[4 * all.rows.indexOf(row)];
+  assert.deepEqual([0, 1, 5, rows[1]].map(first), [4, 2, 3, 1]);
 });
 
 test('a row that has vanished becomes free however long the page is open', () => {
@@ -70,7 +121,7 @@ function publishing({ budget = 1e6 } = {}) {
   const scene = { transforms: new Float32Array(12), farField: 0, player: 0, background: [0, 0, 0], displaySpace: false };
   const nothing = { rows: new Uint32Array(0), colors: new Uint32Array(0) };
   const publish = (row, complete, opacity = 9) =>
-    publisher.publish({ rows: new Uint32Array([row]), records: new Uint32Array(record(opacity)) }, nothing, scene, { captureMs: 0, arrivedMs: 0 }, complete);
+    publisher.publish({ rows: new Uint32Array([row]), records: new Uint32Array(record(opacity)), turnover: turnoverOf([kNoRow], [1]) }, nothing, scene, { captureMs: 0, arrivedMs: 0 }, complete);
   return { clock, publisher, sent, port, publish };
 }
 

@@ -79,6 +79,7 @@ struct Session {
   stream::Bytes outgoing;
   std::vector<std::uint32_t> changed_rows, changed_colors, changed_harmonics;
   std::vector<stream::GpuRecord> changed_records;
+  stream::GpuRows::Turnover changed_turnover;
   std::array<float, 3> background{};
   std::array<double, kStats> stats{};
   std::array<std::uint32_t, 2> hash{};
@@ -224,7 +225,7 @@ const float* picture_transforms_ptr(const Session* session) {
 
 uint32_t take_changes(Session* session, uint32_t max_rows) {
   session->held->rows.take_records(max_rows, session->changed_rows, session->changed_records,
-                                   &session->changed_harmonics);
+                                   &session->changed_harmonics, &session->changed_turnover);
   return static_cast<std::uint32_t>(session->changed_rows.size());
 }
 
@@ -234,6 +235,14 @@ const uint32_t* changed_rows_ptr(const Session* session) {
 
 const uint8_t* changed_records_ptr(const Session* session) {
   return reinterpret_cast<const std::uint8_t*>(session->changed_records.data());
+}
+
+const uint32_t* changed_origins_ptr(const Session* session) {
+  return session->changed_turnover.origins.data();
+}
+
+const uint8_t* changed_left_ptr(const Session* session) {
+  return session->changed_turnover.left.data();
 }
 
 uint32_t harmonic_words(const Session* session) {

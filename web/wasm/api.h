@@ -88,6 +88,10 @@ SPLATBUS_EXPORT const float* picture_transforms_ptr(const Session* session);
 SPLATBUS_EXPORT uint32_t take_changes(Session* session, uint32_t max_rows);
 SPLATBUS_EXPORT const uint32_t* changed_rows_ptr(const Session* session);
 SPLATBUS_EXPORT const uint8_t* changed_records_ptr(const Session* session);
+/// u32[n] of take_changes(): in which row what is in each now was when rows were last taken, 0xFFFFFFFF: in none.
+SPLATBUS_EXPORT const uint32_t* changed_origins_ptr(const Session* session);
+/// u8[n] of take_changes(): 1 where what was in the row then is in no row now.
+SPLATBUS_EXPORT const uint8_t* changed_left_ptr(const Session* session);
 /// A multiple of 4; 0: there are no harmonics. It changes only when all rows do.
 SPLATBUS_EXPORT uint32_t harmonic_words(const Session* session);
 SPLATBUS_EXPORT const uint32_t* changed_harmonics_ptr(const Session* session);

@@ -23,6 +23,8 @@ export interface Exports {
   take_changes(session: number, maxRows: number): number;
   changed_rows_ptr(session: number): number;
   changed_records_ptr(session: number): number;
+  changed_origins_ptr(session: number): number;
+  changed_left_ptr(session: number): number;
   harmonic_words(session: number): number;
   changed_harmonics_ptr(session: number): number;
   take_colors(session: number, maxRows: number): number;

@@ -1,6 +1,6 @@
 import { grown } from '../growing';
 import { kTransformFloats, type Vec3 } from '../math';
-import { kRecordWords, objectOf, opacityOf, type ColorUpdate, type RowUpdate, type Scene } from '../records';
+import { kNoRow, kRecordWords, logSizeOf, objectOf, opacityOf, type ColorUpdate, type RowUpdate, type Scene, type Turnover } from '../records';
 import { kFadeS, kNoFade } from '../render/renderer';
 import { pick, type Pointed } from './pick';
 
@@ -9,49 +9,87 @@ const kSampled = 20000;
 /** Of the samples along each axis, this part on either side is left out. */
 const kOutside = 0.03;
 
-/** Rows as the model has them now. */
-export type ChangedRows = Omit<RowUpdate, 'fades'>;
-type Filled = Pick<RowUpdate, 'records' | 'harmonics'>;
+const kLogScaleStep = 1 / 1024;
+/** Of what stands for another: how much larger it may be, in steps of its log scale, and how far away, of its size. */
+const kLogTwo = 710;
+const kNear = 0.25;
 
-/** The rows as they were handed on: for whoever has to begin anew, and to know which appear and which vanish. */
+/** Rows of what vanishes, behind all that the model has: at least so many, or a part of all. */
+const kLeastSpareRows = 4096;
+const kSpareShare = 1 / 4;
+
+/** Rows as the model has them now. */
+export type ChangedRows = Omit<RowUpdate, 'fades'> & { readonly turnover: Turnover };
+type Filled = Pick<RowUpdate, 'records' | 'harmonics'>;
+interface Displaced extends Filled {
+  readonly fade: number;
+}
+
+const meanOf = (records: Uint32Array, index: number): Float32Array => new Float32Array(records.buffer, records.byteOffset + 4 * kRecordWords * index, 3);
+
+/**
+ * Whether one stands for the other, so that to see both would be too much: a page that came whole has most of its Gaussians again,
+ * about where they were.
+ */
+function resembles(a: Uint32Array, i: number, b: Uint32Array, k: number): boolean {
+  const [sizeA, sizeB] = [logSizeOf(a, i), logSizeOf(b, k)];
+  if (objectOf(a, i) !== objectOf(b, k) || Math.abs(sizeA - sizeB) >= kLogTwo) return false;
+  const [from, to] = [meanOf(a, i), meanOf(b, k)];
+  return Math.hypot(to[0] - from[0], to[1] - from[1], to[2] - from[2]) < kNear * Math.exp(kLogScaleStep * Math.min(sizeA, sizeB));
+}
+
+/**
+ * The rows as they were handed on: for whoever has to begin anew, and to let Gaussians fade that arrive or leave. Whoever leaves while
+ * another takes his row vanishes in a free one.
+ */
 export class RowMirror {
   #records = new Uint32Array(0);
   #harmonics = new Uint32Array(0);
   #words = 0; // of harmonics
   #fades = new Float32Array(0);
   #used = 0;
+  /** Of #used, those that the model has had. */
+  #model = 0;
   #vanishing: { row: number; sinceS: number }[] = [];
+  /** Where the search for free rows goes on. */
+  #cursor = 0;
   #count = 0;
 
   /** Takes rows as the model has them; what vanishes is kept until it has faded. */
-  take({ rows, records, harmonics }: ChangedRows, nowS: number): RowUpdate {
+  take({ rows, records, turnover, harmonics }: ChangedRows, nowS: number): RowUpdate {
     if ((harmonics?.words ?? 0) !== this.#words) {
       this.#words = harmonics?.words ?? 0;
       this.#harmonics = new Uint32Array(0);
     }
-    this.#reserve(rows.reduce((most, row) => Math.max(most, row + 1), this.#used));
+    this.#model = rows.reduce((most, row) => Math.max(most, row + 1), this.#model);
+    this.#reserve(this.#model);
     const update = {
       rows: rows.slice(),
       records: records.slice(),
-      fades: new Float32Array(rows.length),
+      // Who moves goes on with his fade.
+      fades: Float32Array.from(turnover.origins, (row) => Math.max(this.#fades[row] ?? kNoFade, kNoFade)),
       harmonics: harmonics && { words: harmonics.words, values: harmonics.values.slice() },
     };
+    const displaced: Displaced[] = [];
     rows.forEach((row, index) => {
-      const wasThere = opacityOf(this.#records, row) > 0 && this.#fades[row] >= 0;
-      const isThere = opacityOf(records, index) > 0;
-      this.#count += Number(isThere) - Number(wasThere);
-      if (wasThere && !isThere) {
+      const was = opacityOf(this.#records, row) > 0;
+      const is = opacityOf(records, index) > 0;
+      const vanishes = was && this.#fades[row] < 0;
+      const leaves = was && (vanishes || turnover.left[index] !== 0);
+      this.#count += Number(is) - Number(was && !vanishes);
+      if (leaves && !is) {
         this.#copyOut(row, update, index);
-        this.#fades[row] = -nowS;
-        this.#vanishing.push({ row, sinceS: -this.#fades[row] });
-      } else {
-        if (isThere && !wasThere) this.#fades[row] = nowS;
-        else if (!isThere && this.#fades[row] < 0) this.#copyOut(row, update, index);
-        this.#copyIn(row, update, index);
+        if (!vanishes) this.#vanish(row, -nowS);
+        update.fades[index] = this.#fades[row];
+        return;
       }
-      update.fades[index] = this.#fades[row];
+      const replaced = leaves && is && (vanishes || !resembles(this.#records, row, records, index));
+      if (replaced) displaced.push(this.#displaced(row, vanishes ? this.#fades[row] : -nowS));
+      if (is && turnover.origins[index] === kNoRow && (!leaves || replaced)) update.fades[index] = nowS;
+      this.#fades[row] = update.fades[index];
+      this.#copyIn(row, update, index);
     });
-    return update;
+    return displaced.length > 0 ? this.#placed(displaced, update) : update;
   }
 
   recolor(update: ColorUpdate): void {
@@ -123,6 +161,56 @@ export class RowMirror {
   /** The surface that somebody points at; null: there is none. */
   pick(at: Pointed): Vec3 | null {
     return pick(this.#records, this.#fades, this.#used, at);
+  }
+
+  #vanish(row: number, fade: number): void {
+    this.#fades[row] = fade;
+    this.#vanishing.push({ row, sinceS: -this.#fades[row] });
+  }
+
+  #displaced(row: number, fade: number): Displaced {
+    const words = this.#words;
+    return {
+      fade,
+      records: this.#records.slice(kRecordWords * row, kRecordWords * (row + 1)),
+      harmonics: words > 0 ? { words, values: this.#harmonics.slice(words * row, words * (row + 1)) } : undefined,
+    };
+  }
+
+  /** With those that were displaced in rows that nobody has, behind all others where there are none. */
+  #placed(displaced: Displaced[], update: RowUpdate): RowUpdate {
+    const taken = new Uint8Array(this.#used);
+    const homes: number[] = []; // indices of the update, rows of which nothing is left
+    update.rows.forEach((row, index) => {
+      taken[row] = 1;
+      if (homes.length < displaced.length && opacityOf(update.records, index) === 0) homes.push(index);
+    });
+    const more: number[] = [];
+    for (let seen = 0; seen < this.#used && homes.length + more.length < displaced.length; ++seen) {
+      this.#cursor = (this.#cursor + 1) % this.#used;
+      if (taken[this.#cursor] === 0 && opacityOf(this.#records, this.#cursor) === 0) more.push(this.#cursor);
+    }
+    const most = this.#model + Math.max(kLeastSpareRows, Math.floor(kSpareShare * this.#model));
+    // Beyond them the rest vanishes at once.
+    for (let row = this.#used; row < most && homes.length + more.length < displaced.length; ++row) more.push(row);
+    this.#reserve(more.reduce((used, row) => Math.max(used, row + 1), this.#used));
+    const all = { ...this.#nothing(update.rows.length + more.length), rows: new Uint32Array(update.rows.length + more.length) };
+    all.rows.set(update.rows);
+    all.rows.set(more, update.rows.length);
+    all.records.set(update.records);
+    all.fades.set(update.fades);
+    if (update.harmonics) all.harmonics?.values.set(update.harmonics.values);
+    homes.push(...more.map((_, k) => update.rows.length + k));
+    homes.forEach((index, k) => {
+      const row = all.rows[index];
+      const one = displaced[k];
+      this.#vanish(row, one.fade); // those that vanished already come late: nothing of them is seen by then
+      all.fades[index] = this.#fades[row];
+      this.#records.set(one.records, kRecordWords * row);
+      if (one.harmonics) this.#harmonics.set(one.harmonics.values, this.#words * row);
+      this.#copyOut(row, all, index);
+    });
+    return all;
   }
 
   #nothing(rows: number): Omit<RowUpdate, 'rows'> {

@@ -127,6 +127,7 @@ class Stream {
     }
     const changed = follower.takeChanges(kMostRows);
     const [rows, records] = [changed.rows.slice(), changed.records.slice()];
+    const turnover = { origins: changed.turnover.origins.slice(), left: changed.turnover.left.slice() };
     const harmonics = changed.harmonics && { words: changed.harmonics.words, values: changed.harmonics.values.slice() };
     const recolored = follower.takeColors(kMostRows);
     const colors = { rows: recolored.rows.slice(), colors: recolored.colors.slice() };
@@ -143,7 +144,7 @@ class Stream {
     };
     const more = rows.length === kMostRows || colors.rows.length === kMostRows;
     const time = { captureMs: stats.sceneCaptureMs, arrivedMs: stats.sceneArrivedMs + this.#aheadMs, colorsMs: stats.colorsMs };
-    this.#publisher.publish({ rows, records, harmonics }, colors, scene, time, isWhole(stats) && !more);
+    this.#publisher.publish({ rows, records, turnover, harmonics }, colors, scene, time, isWhole(stats) && !more);
     if (more) this.#publishSoon();
   }
 

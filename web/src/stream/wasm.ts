@@ -2,7 +2,7 @@
 // the next call.
 import { instantiate, type Exports } from '../../wasm/instantiate.mjs';
 import { kTransformFloats } from '../math';
-import { kRecordWords, type Harmonics } from '../records';
+import { kRecordWords, type Harmonics, type Turnover } from '../records';
 import type { EnginePicture } from './messages';
 
 export type { Exports };
@@ -138,13 +138,17 @@ export class Follower {
   }
 
   /** Rows that have changed, [n], and what is in them now, [n][8]. */
-  takeChanges(maxRows: number): { rows: Uint32Array; records: Uint32Array; harmonics?: Harmonics } {
+  takeChanges(maxRows: number): { rows: Uint32Array; records: Uint32Array; turnover: Turnover; harmonics?: Harmonics } {
     const n = this.wasm.take_changes(this.#session, maxRows);
     const rows = this.#words(this.wasm.changed_rows_ptr(this.#session), n);
     const records = this.#words(this.wasm.changed_records_ptr(this.#session), kRecordWords * n);
+    const turnover = {
+      origins: this.#words(this.wasm.changed_origins_ptr(this.#session), n),
+      left: new Uint8Array(this.wasm.memory.buffer, this.wasm.changed_left_ptr(this.#session), n),
+    };
     const words = this.wasm.harmonic_words(this.#session);
-    if (words === 0) return { rows, records };
-    return { rows, records, harmonics: { words, values: this.#words(this.wasm.changed_harmonics_ptr(this.#session), words * n) } };
+    if (words === 0) return { rows, records, turnover };
+    return { rows, records, turnover, harmonics: { words, values: this.#words(this.wasm.changed_harmonics_ptr(this.#session), words * n) } };
   }
 
   /** Rows of which the colour alone has changed. */

@@ -1,4 +1,5 @@
 // Stands in for the stream worker in the tests of the page: the same messages, of a scene that no engine made.
+import { kNoRow, type Turnover } from '../../src/records';
 import type { EnginePicture, FromStreamWorker, StreamFigures, ToStreamWorker, WorkerScope } from '../../src/stream/messages';
 import { Publisher } from '../../src/stream/publisher';
 import { referencePicture } from './reference';
@@ -10,6 +11,8 @@ const world = { transforms: scene.transforms, farField: 0, player: 0, background
 let state = world;
 const kUntimed = { captureMs: 0, arrivedMs: 0, colorsMs: 0 };
 let time = kUntimed;
+const turnoverOf = (origins: Uint32Array): Turnover => ({ origins, left: new Uint8Array(origins.length) });
+const nothing = { rows: new Uint32Array(0), records: new Uint32Array(0), turnover: turnoverOf(new Uint32Array(0)) };
 const noColors = { rows: new Uint32Array(0), colors: new Uint32Array(0) };
 let clockOriginMs = performance.timeOrigin;
 let publisher: Publisher;
@@ -41,7 +44,7 @@ function engineDraws(probeId: number, floats: Float32Array): EnginePicture {
 /** A few rows change: what the test says to a channel of its own. */
 new BroadcastChannel('change').onmessage = ({ data }: MessageEvent<number>) => {
   const rows = Uint32Array.from({ length: data }, (_, row) => row);
-  publisher.publish({ rows, records: scene.records.slice(0, 8 * data) }, noColors, state, time, true);
+  publisher.publish({ rows, records: scene.records.slice(0, 8 * data), turnover: turnoverOf(rows) }, noColors, state, time, true);
 };
 
 /** All rows in another light, of a scene that was then. */
@@ -50,13 +53,13 @@ new BroadcastChannel('light').onmessage = ({ data }: MessageEvent<{ ms: number; 
   const rows = Uint32Array.from(scene.gaussians, (_, row) => row);
   const colors = { rows, colors: rows.map((row) => lit[8 * row + 7]) };
   time = { captureMs: data.ms, colorsMs: data.ms, arrivedMs: data.arrivedMs };
-  publisher.publish({ rows: new Uint32Array(0), records: new Uint32Array(0) }, colors, state, time, true);
+  publisher.publish(nothing, colors, state, time, true);
 };
 
 /** A player's camera, world_from_camera [3][4]; null: the player is gone. */
 new BroadcastChannel('player').onmessage = ({ data }: MessageEvent<number[] | null>) => {
   state = data ? { ...world, transforms: new Float32Array([...scene.transforms, ...data]), player: scene.transforms.length / 12 } : world;
-  publisher.publish({ rows: new Uint32Array(0), records: new Uint32Array(0) }, noColors, state, kUntimed, true);
+  publisher.publish(nothing, noColors, state, kUntimed, true);
 };
 /** The connection is lost, to be tried again in so many seconds; 0: it is there again. */
 new BroadcastChannel('connection').onmessage = ({ data }: MessageEvent<number>) =>
@@ -72,7 +75,7 @@ scope.onmessage = ({ data }) => {
     // What there is no room for never comes.
     held = Math.min(scene.gaussians.length, data.budget.gaussians);
     const rows = Uint32Array.from({ length: held }, (_, row) => row);
-    publisher.publish({ rows, records: scene.records.slice(0, 8 * held) }, noColors, state, kUntimed, held === scene.gaussians.length);
+    publisher.publish({ rows, records: scene.records.slice(0, 8 * held), turnover: turnoverOf(rows.map(() => kNoRow)) }, noColors, state, kUntimed, held === scene.gaussians.length);
     scope.postMessage({ kind: 'connection', state: 'open', retryS: 0 });
   } else if (data.kind === 'attach') {
     publisher.attach(data.port, data.shown);

@@ -303,9 +303,10 @@ const tests = {
     for (const message of messagesOf(await (await fetch(log)).arrayBuffer())) {
       if (follower.receive(message, 0) !== 'received') throw new Error(follower.error);
       for (;;) {
-        const { rows, records } = follower.takeChanges(kRows);
+        const changed = follower.takeChanges(kRows);
+        const { rows } = changed;
         if (rows.length === 0) break;
-        const update = mirror.take({ rows, records }, 1);
+        const update = mirror.take(changed, 1);
         sorter.update(follower.rowCapacity, update.rows, update.records);
         if (rows.length < kRows) break;
       }
