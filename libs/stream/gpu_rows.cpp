@@ -49,9 +49,11 @@ void GpuRows::on_reset(const ReplicatedState& shown) {
   unsent_ = stale_.size();
   recolored_ = 0;
   stale_.resize(std::max(stale_.size(), shown.rows()), kNothing);
-  // Another state is mostly the same world again: it takes the place of what was there row by row.
   origin_.resize(stale_.size(), kNoRow);
-  for (std::uint32_t row = 0; row < shown_.size() * kBlockRows; ++row) origin_[row] = is_shown(row) ? row : kNoRow;
+  // Another state is mostly the same world again: it takes the place of what was there row by row.
+  for (std::uint32_t row = 0; row < shown_.size() * kBlockRows; ++row) {
+    if (!is_shown(row) || origin_[row] != row) origin_[row] = kNoRow;
+  }
   any_moved_ = false;
   shown_.assign(stale_.size() / kBlockRows, 0);
   for (const auto& [number, page] : shown.pages) {
@@ -103,13 +105,20 @@ void GpuRows::follow_moves(const std::vector<Change::Move>& moves) {
 }
 
 std::vector<bool> GpuRows::moved_away() const {
+  if (!any_moved_) return {};
   std::vector<bool> moved(stale_.size());
-  for (std::uint32_t row = 0; any_moved_ && row < stale_.size(); ++row) {
-    if (stale_[row] == kRecord && is_shown(row) && origin_[row] != row && origin_[row] != kNoRow) {
-      moved[origin_[row]] = true;
-    }
+  for (std::uint32_t row = 0; row < stale_.size(); ++row) {
+    if (has_moved(row)) moved[origin_[row]] = true;
   }
   return moved;
+}
+
+void GpuRows::take_turnover(const std::vector<std::uint32_t>& rows, const std::vector<bool>& moved, Turnover& out) {
+  out = {};
+  for (const std::uint32_t row : rows) {
+    out.origins.push_back(is_shown(row) ? origin_[row] : kNoRow);
+    out.left.push_back(out.origins.back() == row || (!moved.empty() && moved[row]) ? 0 : 1);
+  }
 }
 
 void GpuRows::show(std::uint32_t block, std::uint32_t count) {
@@ -207,7 +216,6 @@ const std::vector<GpuRows::Transform>& GpuRows::transforms() {
 }
 
 void GpuRows::find_rows(std::size_t most, Stale wanted, std::size_t& cursor, std::vector<std::uint32_t>& rows) const {
-  rows.clear();
   for (std::size_t seen = 0; rows.size() < most && seen < stale_.size(); ++seen, ++cursor) {
     if (cursor >= stale_.size()) cursor = 0;
     if (stale_[cursor] == wanted) rows.push_back(static_cast<std::uint32_t>(cursor));
@@ -251,7 +259,15 @@ class GpuRows::Shader {
 
 void GpuRows::take_records(std::size_t most, std::vector<std::uint32_t>& rows, std::vector<GpuRecord>& records,
                            std::vector<std::uint32_t>* harmonics, Turnover* turnover) {
-  find_rows(std::min(most, unsent_), kRecord, record_cursor_, rows);
+  rows.clear();
+  const std::vector<bool> moved = turnover ? moved_away() : std::vector<bool>();
+  for (std::uint32_t row = 0; row < moved.size(); ++row) {
+    if (stale_[row] == kRecord && (moved[row] || has_moved(row))) rows.push_back(row);
+  }
+  for (const std::uint32_t row : rows) stale_[row] = kTaking;
+  if (turnover) any_moved_ = false;
+  find_rows(std::min(std::max(most, rows.size()), unsent_), kRecord, record_cursor_, rows);
+  if (turnover) take_turnover(rows, moved, *turnover);
   const SparseRows<std::uint32_t>& object_ids = replica_.shown().gaussians.object_id;
   // The scene is followed for all objects before there is a colour.
   for (const std::uint32_t row : rows) {
@@ -261,14 +277,6 @@ void GpuRows::take_records(std::size_t most, std::vector<std::uint32_t>& rows, s
   records.assign(rows.size(), {});
   const std::size_t words = harmonics ? harmonic_words(replica_.shown().layout) : 0;
   if (harmonics) harmonics->assign(words * rows.size(), 0);
-  if (turnover) {
-    const std::vector<bool> moved = moved_away();
-    *turnover = {};
-    for (const std::uint32_t row : rows) {
-      turnover->origins.push_back(is_shown(row) ? origin_[row] : kNoRow);
-      turnover->left.push_back(turnover->origins.back() == row || moved[row] ? 0 : 1);
-    }
-  }
   Shader shader(*this);
   for (std::size_t k = 0; k < rows.size(); ++k) {
     stale_[rows[k]] = kNothing;
@@ -279,11 +287,11 @@ void GpuRows::take_records(std::size_t most, std::vector<std::uint32_t>& rows, s
     if (words > 0) shader.harmonics(rows[k], std::span(*harmonics).subspan(words * k, words));
   }
   unsent_ -= rows.size();
-  any_moved_ = any_moved_ && unsent_ > 0;
 }
 
 void GpuRows::take_colors(std::size_t most, std::vector<std::uint32_t>& rows, std::vector<std::uint32_t>& colors) {
   follow_scene();
+  rows.clear();
   find_rows(std::min(most, recolored_), kColor, color_cursor_, rows);
   const SparseRows<std::uint32_t>& object_ids = replica_.shown().gaussians.object_id;
   colors.assign(rows.size(), 0);

@@ -26,7 +26,8 @@ class GpuRows final : public ShownObserver {
 
   /// As an origin: in no row.
   static constexpr std::uint32_t kNoRow = 0xFFFFFFFFU;
-  /// What has become of rows since they were last taken, for who lets Gaussians fade that arrive or leave.
+  /// What has become of rows since they were last taken, for who lets Gaussians fade that arrive or leave. Those that
+  /// have moved, and the rows that they have left, are taken together, be they more than asked for.
   struct Turnover {
     std::vector<std::uint32_t> origins;  ///< in which row what is in each now was then, kNoRow where it was in none
     std::vector<std::uint8_t> left;      ///< whether what was in it then is in no row now
@@ -72,15 +73,19 @@ class GpuRows final : public ShownObserver {
     Light light;  ///< in the object's frame, when colours were last made
   };
   class Shader;
-  enum Stale : std::uint8_t { kNothing = 0, kColor = 1, kRecord = 2 };
+  enum Stale : std::uint8_t { kNothing = 0, kColor = 1, kRecord = 2, kTaking = 3 };
 
   /// kHidden when there is no room for another.
   [[nodiscard]] std::uint32_t index_of(std::uint32_t object_id);
   void forget_objects();
   /// Where Gaussians have been, before anything else of the change.
   void follow_moves(const std::vector<Change::Move>& moves);
-  /// [capacity()] Whether another row has the Gaussian that was in a row when it was last taken.
+  [[nodiscard]] bool has_moved(std::uint32_t row) const {
+    return stale_[row] == kRecord && is_shown(row) && origin_[row] != row && origin_[row] != kNoRow;
+  }
+  /// [capacity()] Whether another row has the Gaussian that was in a row when it was last taken; empty: of none.
   [[nodiscard]] std::vector<bool> moved_away() const;
+  void take_turnover(const std::vector<std::uint32_t>& rows, const std::vector<bool>& moved, Turnover& out);
   void mark(std::uint32_t row, Stale what);
   void mark_all(const std::vector<std::uint32_t>& rows, Stale what);
   /// How many rows of a block are Gaussians.
@@ -89,7 +94,7 @@ class GpuRows final : public ShownObserver {
   /// Objects' transforms and lights of the replica's scene; marks rows on which another light falls.
   void follow_scene();
   void find_player();
-  /// Rows in that state, from the cursor on.
+  /// Adds rows in that state, from the cursor on.
   void find_rows(std::size_t most, Stale wanted, std::size_t& cursor, std::vector<std::uint32_t>& rows) const;
 
   Replica& replica_;

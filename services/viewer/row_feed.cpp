@@ -14,7 +14,7 @@ constexpr std::size_t kMostRows = stream::kMaxGaussians * 2;  // a batch: all, a
 constexpr std::size_t kSampled = 20000;                       // rows, for the bounds
 constexpr double kOutside = 0.03;                             // of the samples along each axis, on either side
 constexpr float kBoundsEvery_s = 1;
-constexpr std::size_t kLeastSpareRows = 4096, kSpareShare = 4;  // rows of what vanishes: so many, or a part of all
+constexpr std::size_t kMostSpareRows = 32768;  // of what vanishes, behind the replica's
 // Of what stands for another: how much larger it may be, in stream::kLogScaleStep, and how far away, of its size.
 constexpr int kLogTwo = 710;
 constexpr float kNear = 0.25F;
@@ -77,17 +77,24 @@ void RowFeed::take_rows(float now_s, gl::RowUpdate& out) {
     float& fade = fades_[row];
     stream::GpuRecord &held = records_[row], &taken = out.records[k];
     const bool was = is_there(held), is = is_there(taken), vanishes = was && fade < 0;
-    const bool leaves = was && (vanishes || turnover.left[k] != 0);
+    const std::uint32_t origin = turnover.origins[k];
+    const bool leaves = was && (vanishes || turnover.left[k] != 0 || (!is && origin == row));
     if (fades_on_ && leaves && !is) {
       if (!vanishes) vanishing_.push_back({row, now_s});
       out.fades[k] = fade = vanishes ? fade : -now_s;
       taken = held;
       continue;
     }
-    const bool replaced = leaves && is && (vanishes || !resembles(held, taken));
-    if (fades_on_ && replaced) displace(row, vanishes ? fade : -now_s);
-    const bool arrived = turnover.origins[k] == stream::GpuRows::kNoRow && (!leaves || replaced);
-    if (fades_on_ && is && arrived) out.fades[k] = now_s;
+    const bool arrives = is && origin == stream::GpuRows::kNoRow;
+    const bool stands_in = leaves && arrives && !vanishes && resembles(held, taken);
+    if (fades_on_ && leaves && is && !stands_in && (!vanishes || -fade + gl::kFade_s > now_s)) {
+      displace(row, vanishes ? fade : -now_s);
+    }
+    if (stands_in) {
+      out.fades[k] = fade;
+    } else if (fades_on_ && arrives) {
+      out.fades[k] = now_s;
+    }
     fade = out.fades[k];
     held = taken;
     const auto first = harmonics.begin() + static_cast<std::ptrdiff_t>(harmonic_words_ * k);
@@ -106,26 +113,26 @@ void RowFeed::place_displaced(gl::RowUpdate& out) {
     vanishing_.push_back({row, -one.fade});  // those that vanished already come late: nothing of them is seen by then
     displaced_.pop_back();
   };
-  std::vector<bool> taken(records_.size());
-  const std::size_t most = rows_.capacity() + std::max(kLeastSpareRows, rows_.capacity() / kSpareShare);
-  for (std::size_t k = 0, count = out.rows.size(); k < count; ++k) {
-    taken[out.rows[k]] = true;
-    if (!displaced_.empty() && !is_there(out.records[k])) put(k);
+  for (std::size_t k = 0, count = out.rows.size(); k < count && !displaced_.empty(); ++k) {
+    if (!is_there(out.records[k])) put(k);
   }
-  const auto put_into = [&](std::size_t row) {
-    out.rows.push_back(static_cast<std::uint32_t>(row));
+  const std::size_t most = rows_.capacity() + kMostSpareRows;
+  while (!displaced_.empty()) {
+    if (spare_.empty()) {
+      const std::size_t rows = records_.size();
+      resize(std::max(rows, std::min(most, rows + displaced_.size())));
+      for (std::size_t row = rows; row < records_.size(); ++row) spare_.push_back(static_cast<std::uint32_t>(row));
+      if (spare_.empty()) break;  // the rest vanishes at once
+    }
+    const std::uint32_t row = spare_.back();
+    spare_.pop_back();
+    if (row < rows_.capacity()) continue;
+    out.rows.push_back(row);
     out.records.emplace_back();
     out.fades.push_back(gl::kNoFade);
     put(out.rows.size() - 1);
-  };
-  for (std::size_t seen = 0, rows = records_.size(); seen < rows && !displaced_.empty(); ++seen) {
-    free_cursor_ = free_cursor_ + 1 < rows ? free_cursor_ + 1 : 0;
-    if (!taken[free_cursor_] && !is_there(records_[free_cursor_])) put_into(free_cursor_);
   }
-  const std::size_t rows = records_.size();
-  resize(std::max(rows, std::min(most, rows + displaced_.size())));
-  for (std::size_t row = rows; row < records_.size(); ++row) put_into(row);
-  displaced_.clear();  // the rest vanishes at once
+  displaced_.clear();
 }
 
 std::vector<std::uint32_t> RowFeed::free_vanished(float now_s) {
@@ -136,6 +143,7 @@ std::vector<std::uint32_t> RowFeed::free_vanished(float now_s) {
     if (fades_[row] != -since_s) continue;  // it came back
     records_[row] = {};
     fades_[row] = gl::kNoFade;
+    if (row >= rows_.capacity()) spare_.push_back(row);
     rows.push_back(row);
   }
   return rows;

@@ -58,7 +58,8 @@ class RowFeed {
   };
   std::deque<Vanishing> vanishing_;
   std::vector<Displaced> displaced_;  ///< while rows are taken
-  std::size_t free_cursor_ = 0;       ///< where the search for free rows goes on
+  std::vector<std::uint32_t>
+      spare_;  ///< rows behind the replica's that are free, or were: it may have come to have them
   float bounded_s_ = -1;
 };
 

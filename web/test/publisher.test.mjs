@@ -58,8 +58,8 @@ test('a row that is given away while it fades stays, and what was in it fades on
   mirror.takeVanished(11.5);
   update(mirror, { 3: record(200) }, 12);
   update(mirror, { 3: record(0) }, 13);
-  assert.deepEqual(seen(update(mirror, { 3: elsewhere(90) }, 13.1)), { 1: [200, -13], 3: [90, Math.fround(13.1)] });
-  assert.deepEqual([...mirror.takeVanished(14).rows], [1]);
+  assert.deepEqual(seen(update(mirror, { 3: elsewhere(90) }, 13.1)), { 4: [200, -13], 3: [90, Math.fround(13.1)] });
+  assert.deepEqual([...mirror.takeVanished(14).rows], [4]);
   assert.deepEqual([...mirror.everything().records], elsewhere(90));
   assert.equal(mirror.count, 1);
 });
@@ -81,12 +81,36 @@ test('who takes the row of another lets it vanish in a free one', () => {
   assert.equal(mirror.takeVanished(14), null);
 });
 
+test('rows of what vanishes are used again, and never by two', () => {
+  const mirror = new logic.RowMirror();
+  const rows = (opacity, at = 0) => Object.fromEntries(Array.from({ length: 100 }, (_, row) => [row, [...new Uint32Array(new Float32Array([5 * at, 0, 0]).buffer), 0, 0, 0, opacity, 7]]));
+  update(mirror, rows(1), 10);
+  for (let turn = 1; turn < 20; ++turn) {
+    const sent = update(mirror, rows(1 + turn, turn), 10 + 0.1 * turn);
+    assert.equal(new Set(sent.rows).size, sent.rows.length);
+    mirror.takeVanished(10 + 0.1 * turn + 0.05);
+    const all = mirror.everything();
+    for (const opacity of [1 + turn, turn]) assert.equal(all.records.filter((value, at) => at % 8 === 6 && value === opacity).length, 100, `${opacity} of turn ${turn}`);
+    assert.ok(Math.max(...all.rows) < 500);
+    assert.equal(mirror.count, 100);
+  }
+});
+
+test('who moves into the row of one that it resembles does not stand for it', () => {
+  const mirror = new logic.RowMirror();
+  update(mirror, { 0: record(100), 1: record(20) }, 10);
+  assert.deepEqual(seen(update(mirror, { 0: record(20), 1: record(0) }, 11, [1, kNoRow], [1, 0])), { 0: [20, 10], 1: [100, -11] });
+  // Who begins to appear is replaced by one that stands for it, which goes on to appear; who can no longer be seen fades.
+  update(mirror, { 0: record(30) }, 12.1);
+  assert.deepEqual(seen(update(mirror, { 0: record(0) }, 13, [0], [0])), { 0: [30, -13] });
+});
+
 test('who moves neither fades nor vanishes, and who stands for another does not either', () => {
   const mirror = new logic.RowMirror();
   update(mirror, { 0: record(10), 1: record(20), 2: record(0) }, 10);
   assert.deepEqual(seen(update(mirror, { 1: record(0), 2: record(20) }, 10.1, [kNoRow, 1], [0, 0])), { 1: [0, 0], 2: [20, 10] }, 'it goes on to appear');
   assert.equal(mirror.takeVanished(12), null);
-  assert.deepEqual(seen(update(mirror, { 0: record(15) }, 13)), { 0: [15, 0] });
+  assert.deepEqual(seen(update(mirror, { 0: record(15) }, 13)), { 0: [15, 10] });
   assert.equal(mirror.takeVanished(14), null);
 });
 
@@ -124,6 +148,15 @@ function publishing({ budget = 1e6 } = {}) {
     publisher.publish({ rows: new Uint32Array([row]), records: new Uint32Array(record(opacity)), turnover: turnoverOf([kNoRow], [1]) }, nothing, scene, { captureMs: 0, arrivedMs: 0 }, complete);
   return { clock, publisher, sent, port, publish };
 }
+
+test('what vanishes goes on to, where a picture that stands is replaced', () => {
+  const { publisher, sent, port, publish } = publishing();
+  publisher.attach(port, 100);
+  publish(0, false);
+  publish(1, false);
+  publish(0, true, 0);
+  assert.deepEqual(seen(sent[0].update), { 0: [9, -1], 1: [9, 0] });
+});
 
 test('a picture that stands is replaced by a whole model, and by no part of one', () => {
   const { publisher, sent, port, publish } = publishing();

@@ -103,7 +103,8 @@ export class Publisher {
     if (!this.#port || !this.#replaces()) return;
     const update = this.#mirror.everything();
     if (update.rows.length === 0) return;
-    if (this.#shown > 0) update.fades.fill(kNoFade); // it takes the place of one that is seen
+    // It takes the place of one that is seen.
+    if (this.#shown > 0) update.fades.forEach((fade, index) => (update.fades[index] = Math.min(fade, kNoFade)));
     this.#begun = true;
     this.#send(true, update, noColors());
   }

@@ -14,28 +14,54 @@ const kLogScaleStep = 1 / 1024;
 const kLogTwo = 710;
 const kNear = 0.25;
 
-/** Rows of what vanishes, behind all that the model has: at least so many, or a part of all. */
-const kLeastSpareRows = 4096;
-const kSpareShare = 1 / 4;
+/** Rows of what vanishes, behind all that the model has. */
+const kMostSpareRows = 32768;
 
 /** Rows as the model has them now. */
 export type ChangedRows = Omit<RowUpdate, 'fades'> & { readonly turnover: Turnover };
 type Filled = Pick<RowUpdate, 'records' | 'harmonics'>;
-interface Displaced extends Filled {
-  readonly fade: number;
+
+/** Records, and the places of their means among them. */
+class Records {
+  readonly #means: Float32Array;
+
+  constructor(readonly words: Uint32Array) {
+    this.#means = new Float32Array(words.buffer, words.byteOffset, words.length);
+  }
+
+  /**
+   * Whether one stands for the other, so that to see both would be too much: a page that came whole has most of its Gaussians again,
+   * about where they were.
+   */
+  resembles(index: number, other: Records, otherIndex: number): boolean {
+    const [size, otherSize] = [logSizeOf(this.words, index), logSizeOf(other.words, otherIndex)];
+    if (objectOf(this.words, index) !== objectOf(other.words, otherIndex) || Math.abs(size - otherSize) >= kLogTwo) return false;
+    let squared = 0;
+    for (let axis = 0; axis < 3; ++axis) squared += (this.#means[kRecordWords * index + axis] - other.#means[kRecordWords * otherIndex + axis]) ** 2;
+    return squared < (kNear * Math.exp(kLogScaleStep * Math.min(size, otherSize))) ** 2;
+  }
 }
 
-const meanOf = (records: Uint32Array, index: number): Float32Array => new Float32Array(records.buffer, records.byteOffset + 4 * kRecordWords * index, 3);
+/** What left while another took its row: where it has to vanish is found later. */
+class Displaced {
+  readonly fades: number[] = [];
+  readonly records: Uint32Array;
+  readonly harmonics: Uint32Array;
 
-/**
- * Whether one stands for the other, so that to see both would be too much: a page that came whole has most of its Gaussians again,
- * about where they were.
- */
-function resembles(a: Uint32Array, i: number, b: Uint32Array, k: number): boolean {
-  const [sizeA, sizeB] = [logSizeOf(a, i), logSizeOf(b, k)];
-  if (objectOf(a, i) !== objectOf(b, k) || Math.abs(sizeA - sizeB) >= kLogTwo) return false;
-  const [from, to] = [meanOf(a, i), meanOf(b, k)];
-  return Math.hypot(to[0] - from[0], to[1] - from[1], to[2] - from[2]) < kNear * Math.exp(kLogScaleStep * Math.min(sizeA, sizeB));
+  constructor(
+    most: number,
+    private readonly words: number,
+  ) {
+    this.records = new Uint32Array(kRecordWords * most);
+    this.harmonics = new Uint32Array(words * most);
+  }
+
+  add(records: Uint32Array, harmonics: Uint32Array, row: number, fade: number): void {
+    const at = this.fades.length;
+    this.records.set(records.subarray(kRecordWords * row, kRecordWords * (row + 1)), kRecordWords * at);
+    this.harmonics.set(harmonics.subarray(this.words * row, this.words * (row + 1)), this.words * at);
+    this.fades.push(fade);
+  }
 }
 
 /**
@@ -51,8 +77,8 @@ export class RowMirror {
   /** Of #used, those that the model has had. */
   #model = 0;
   #vanishing: { row: number; sinceS: number }[] = [];
-  /** Where the search for free rows goes on. */
-  #cursor = 0;
+  /** Rows behind the model's that are free, or were: it may have come to have them. */
+  readonly #spare: number[] = [];
   #count = 0;
 
   /** Takes rows as the model has them; what vanishes is kept until it has faded. */
@@ -66,16 +92,17 @@ export class RowMirror {
     const update = {
       rows: rows.slice(),
       records: records.slice(),
-      // Who moves goes on with his fade.
-      fades: Float32Array.from(turnover.origins, (row) => Math.max(this.#fades[row] ?? kNoFade, kNoFade)),
+      fades: this.#fadesOf(turnover.origins),
       harmonics: harmonics && { words: harmonics.words, values: harmonics.values.slice() },
     };
-    const displaced: Displaced[] = [];
+    const [held, taken] = [new Records(this.#records), new Records(records)];
+    let displaced: Displaced | null = null;
     rows.forEach((row, index) => {
       const was = opacityOf(this.#records, row) > 0;
       const is = opacityOf(records, index) > 0;
       const vanishes = was && this.#fades[row] < 0;
-      const leaves = was && (vanishes || turnover.left[index] !== 0);
+      const origin = turnover.origins[index];
+      const leaves = was && (vanishes || turnover.left[index] !== 0 || (!is && origin === row));
       this.#count += Number(is) - Number(was && !vanishes);
       if (leaves && !is) {
         this.#copyOut(row, update, index);
@@ -83,13 +110,18 @@ export class RowMirror {
         update.fades[index] = this.#fades[row];
         return;
       }
-      const replaced = leaves && is && (vanishes || !resembles(this.#records, row, records, index));
-      if (replaced) displaced.push(this.#displaced(row, vanishes ? this.#fades[row] : -nowS));
-      if (is && turnover.origins[index] === kNoRow && (!leaves || replaced)) update.fades[index] = nowS;
+      const arrives = is && origin === kNoRow;
+      const standsIn = leaves && arrives && !vanishes && held.resembles(row, taken, index);
+      if (leaves && !standsIn && !(vanishes && kFadeS - this.#fades[row] <= nowS)) {
+        displaced ??= new Displaced(rows.length - index, this.#words);
+        displaced.add(this.#records, this.#harmonics, row, vanishes ? this.#fades[row] : -nowS);
+      }
+      if (standsIn) update.fades[index] = this.#fades[row];
+      else if (arrives) update.fades[index] = nowS;
       this.#fades[row] = update.fades[index];
       this.#copyIn(row, update, index);
     });
-    return displaced.length > 0 ? this.#placed(displaced, update) : update;
+    return displaced ? this.#placed(displaced, update) : update;
   }
 
   recolor(update: ColorUpdate): void {
@@ -103,14 +135,17 @@ export class RowMirror {
     if (this.#vanishing.length === 0) return null;
     let count = 0;
     while (count < this.#vanishing.length && this.#vanishing[count].sinceS + kFadeS <= nowS) ++count;
-    const due = this.#vanishing.splice(0, count).filter(({ row, sinceS }) => this.#fades[row] === -sinceS);
-    if (due.length === 0) return null;
-    const rows = Uint32Array.from(due, ({ row }) => row);
-    for (const row of rows) {
+    const rows = new Uint32Array(count);
+    let due = 0;
+    for (const { row, sinceS } of this.#vanishing.splice(0, count)) {
+      if (this.#fades[row] !== -sinceS) continue; // it came back
       this.#records.fill(0, kRecordWords * row, kRecordWords * (row + 1));
       this.#fades[row] = kNoFade;
+      if (row >= this.#model) this.#spare.push(row);
+      rows[due++] = row;
     }
-    return { ...this.#nothing(rows.length), rows };
+    if (due === 0) return null;
+    return { ...this.#nothing(due), rows: rows.subarray(0, due) };
   }
 
   /** Rows that are there, without those that vanish. */
@@ -168,49 +203,53 @@ export class RowMirror {
     this.#vanishing.push({ row, sinceS: -this.#fades[row] });
   }
 
-  #displaced(row: number, fade: number): Displaced {
-    const words = this.#words;
-    return {
-      fade,
-      records: this.#records.slice(kRecordWords * row, kRecordWords * (row + 1)),
-      harmonics: words > 0 ? { words, values: this.#harmonics.slice(words * row, words * (row + 1)) } : undefined,
-    };
+  /** Of who moves his fade goes on. */
+  #fadesOf(origins: Uint32Array): Float32Array<ArrayBuffer> {
+    const fades = new Float32Array(origins.length);
+    for (let index = 0; index < fades.length; ++index) {
+      if (origins[index] < this.#used) fades[index] = Math.max(this.#fades[origins[index]], kNoFade);
+    }
+    return fades;
   }
 
-  /** With those that were displaced in rows that nobody has, behind all others where there are none. */
-  #placed(displaced: Displaced[], update: RowUpdate): RowUpdate {
-    const taken = new Uint8Array(this.#used);
+  /** With those that were displaced in rows that nobody has: of the update, or behind the model's. */
+  #placed(displaced: Displaced, update: RowUpdate): RowUpdate {
+    const count = displaced.fades.length;
     const homes: number[] = []; // indices of the update, rows of which nothing is left
-    update.rows.forEach((row, index) => {
-      taken[row] = 1;
-      if (homes.length < displaced.length && opacityOf(update.records, index) === 0) homes.push(index);
-    });
-    const more: number[] = [];
-    for (let seen = 0; seen < this.#used && homes.length + more.length < displaced.length; ++seen) {
-      this.#cursor = (this.#cursor + 1) % this.#used;
-      if (taken[this.#cursor] === 0 && opacityOf(this.#records, this.#cursor) === 0) more.push(this.#cursor);
+    for (let index = 0; index < update.rows.length && homes.length < count; ++index) {
+      if (opacityOf(update.records, index) === 0) homes.push(index);
     }
-    const most = this.#model + Math.max(kLeastSpareRows, Math.floor(kSpareShare * this.#model));
-    // Beyond them the rest vanishes at once.
-    for (let row = this.#used; row < most && homes.length + more.length < displaced.length; ++row) more.push(row);
-    this.#reserve(more.reduce((used, row) => Math.max(used, row + 1), this.#used));
-    const all = { ...this.#nothing(update.rows.length + more.length), rows: new Uint32Array(update.rows.length + more.length) };
-    all.rows.set(update.rows);
-    all.rows.set(more, update.rows.length);
+    const more = this.#spareRows(count - homes.length);
+    const rows = new Uint32Array(update.rows.length + more.length);
+    const all = { ...this.#nothing(rows.length), rows };
+    rows.set(update.rows);
+    rows.set(more, update.rows.length);
     all.records.set(update.records);
     all.fades.set(update.fades);
     if (update.harmonics) all.harmonics?.values.set(update.harmonics.values);
-    homes.push(...more.map((_, k) => update.rows.length + k));
+    for (let k = 0; k < more.length; ++k) homes.push(update.rows.length + k);
     homes.forEach((index, k) => {
-      const row = all.rows[index];
-      const one = displaced[k];
-      this.#vanish(row, one.fade); // those that vanished already come late: nothing of them is seen by then
+      const row = rows[index];
+      this.#vanish(row, displaced.fades[k]); // those that vanished already come late: nothing of them is seen by then
       all.fades[index] = this.#fades[row];
-      this.#records.set(one.records, kRecordWords * row);
-      if (one.harmonics) this.#harmonics.set(one.harmonics.values, this.#words * row);
+      this.#records.set(displaced.records.subarray(kRecordWords * k, kRecordWords * (k + 1)), kRecordWords * row);
+      this.#harmonics.set(displaced.harmonics.subarray(this.#words * k, this.#words * (k + 1)), this.#words * row);
       this.#copyOut(row, all, index);
     });
     return all;
+  }
+
+  /** As many as there are of so many; the rest vanishes at once. */
+  #spareRows(count: number): number[] {
+    const rows: number[] = [];
+    while (rows.length < count && this.#spare.length > 0) {
+      const row = this.#spare.pop() as number;
+      if (row >= this.#model) rows.push(row);
+    }
+    const first = this.#used;
+    this.#reserve(Math.max(first, Math.min(this.#model + kMostSpareRows, first + count - rows.length)));
+    for (let row = first; row < this.#used; ++row) rows.push(row);
+    return rows;
   }
 
   #nothing(rows: number): Omit<RowUpdate, 'rows'> {

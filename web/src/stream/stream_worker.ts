@@ -142,7 +142,7 @@ class Stream {
       background: follower.background,
       displaySpace: stats.radiance,
     };
-    const more = rows.length === kMostRows || colors.rows.length === kMostRows;
+    const more = rows.length >= kMostRows || colors.rows.length === kMostRows;
     const time = { captureMs: stats.sceneCaptureMs, arrivedMs: stats.sceneArrivedMs + this.#aheadMs, colorsMs: stats.colorsMs };
     this.#publisher.publish({ rows, records, turnover, harmonics }, colors, scene, time, isWhole(stats) && !more);
     if (more) this.#publishSoon();
