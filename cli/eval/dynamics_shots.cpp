@@ -3,10 +3,10 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <opencv2/imgcodecs.hpp>
 #include <span>
 #include <utility>
 
+#include "metrics/image_io.h"
 #include "shadow_mask.h"
 
 namespace splatbus::cli {
@@ -123,7 +123,7 @@ void DynamicsShots::compare(std::vector<DynamicsSample>& samples, std::size_t ke
 
 cv::Mat DynamicsShots::viewer_picture(std::uint64_t probe_id) const {
   const std::filesystem::path file = viewer_ / fmt::format("probe_{}_viewer.png", probe_id);
-  return std::filesystem::exists(file) ? cv::imread(file, cv::IMREAD_COLOR) : cv::Mat();
+  return std::filesystem::exists(file) ? metrics::read_png(file) : cv::Mat();
 }
 
 MapsOfCameras DynamicsShots::mean_maps() const {

@@ -1,14 +1,13 @@
 #include "metrics/image_io.h"
 
 #include <fmt/format.h>
+#include <png.h>
 
 #include <algorithm>
 #include <cerrno>
 #include <cstdio>
 #include <cstring>
 #include <fstream>
-#include <opencv2/imgcodecs.hpp>
-#include <opencv2/imgproc.hpp>
 #include <stdexcept>
 #include <vector>
 
@@ -25,6 +24,24 @@ void check_pixels(const char* who, const void* pixels, std::uint32_t width, std:
     throw std::invalid_argument(fmt::format("{}: {}x{} is not within 1 to {} a side", who, width, height, kMaxSide));
   }
 }
+
+/// Of libpng's simplified interface, which says what was wrong in place of jumping.
+class Png {
+ public:
+  explicit Png(std::string what) : what_(std::move(what)) { image.version = PNG_IMAGE_VERSION; }
+  Png(const Png&) = delete;
+  Png& operator=(const Png&) = delete;
+  ~Png() { png_image_free(&image); }
+
+  void require(int succeeded) const {
+    if (succeeded == 0) throw std::runtime_error(fmt::format("{}: {}", what_, image.message));
+  }
+
+  png_image image{};
+
+ private:
+  std::string what_;
+};
 
 }  // namespace
 
@@ -56,12 +73,30 @@ cv::Mat from_planes(const float* planes, std::uint32_t width, std::uint32_t heig
   return out;
 }
 
-void write_png(const std::string& path, const cv::Mat& image) {
-  if (image.empty() || (image.type() != CV_8UC3 && image.type() != CV_8UC1)) {
-    throw std::runtime_error(fmt::format("{}: only pictures of type CV_8UC1 or CV_8UC3 can be written", path));
+std::vector<std::uint8_t> encode_png(const cv::Mat& bgr) {
+  if (bgr.empty() || (bgr.type() != CV_8UC3 && bgr.type() != CV_8UC1)) {
+    throw std::runtime_error("only pictures of type CV_8UC1 or CV_8UC3 can be written as PNG");
   }
+  Png png("the PNG encoder failed");
+  png.image.width = static_cast<png_uint_32>(bgr.cols);
+  png.image.height = static_cast<png_uint_32>(bgr.rows);
+  png.image.format = bgr.channels() == 3 ? PNG_FORMAT_BGR : PNG_FORMAT_GRAY;
+  png.image.flags = PNG_IMAGE_FLAG_FAST;
+  const cv::Mat rows = bgr.isContinuous() ? bgr : bgr.clone();
+  png_alloc_size_t bytes = PNG_IMAGE_PNG_SIZE_MAX(png.image);
+  std::vector<std::uint8_t> file(bytes);
+  png.require(png_image_write_to_memory(&png.image, file.data(), &bytes, 0, rows.data, 0, nullptr));
+  file.resize(bytes);
+  return file;
+}
+
+void write_png(const std::string& path, const cv::Mat& image) {
   std::vector<std::uint8_t> bytes;
-  if (!cv::imencode(".png", image, bytes)) throw std::runtime_error(fmt::format("{}: the PNG encoder failed", path));
+  try {
+    bytes = encode_png(image);
+  } catch (const std::runtime_error& error) {
+    throw std::runtime_error(fmt::format("{}: {}", path, error.what()));
+  }
   const std::string partial = path + ".partial";
   std::ofstream file(partial, std::ios::binary | std::ios::trunc);
   file.write(reinterpret_cast<const char*>(bytes.data()), static_cast<std::streamsize>(bytes.size()));
@@ -74,13 +109,15 @@ void write_png(const std::string& path, const cv::Mat& image) {
 }
 
 cv::Mat read_png(const std::string& path) {
-  cv::Mat image;
-  try {
-    image = cv::imread(path, cv::IMREAD_COLOR);
-  } catch (const cv::Exception& error) {
-    throw std::runtime_error(fmt::format("{}: cannot be read as a picture: {}", path, error.what()));
+  Png png(path + ": cannot be read as a picture");
+  png.require(png_image_begin_read_from_file(&png.image, path.c_str()));
+  if (png.image.width > kMaxSide || png.image.height > kMaxSide) {
+    throw std::runtime_error(
+        fmt::format("{}: {}x{} is more than {} a side", path, png.image.width, png.image.height, kMaxSide));
   }
-  if (image.empty()) throw std::runtime_error(fmt::format("{}: cannot be read as a picture", path));
+  png.image.format = PNG_FORMAT_BGR;
+  cv::Mat image(static_cast<int>(png.image.height), static_cast<int>(png.image.width), CV_8UC3, cv::Scalar::all(0));
+  png.require(png_image_finish_read(&png.image, nullptr, image.data, 0, nullptr));
   return image;
 }
 

@@ -1,9 +1,10 @@
 #include "gateway/foxglove/convert.h"
 
 #include <fmt/format.h>
+#include <stb_image_write.h>
 
 #include <cmath>
-#include <opencv2/imgcodecs.hpp>
+#include <opencv2/imgproc.hpp>
 #include <stdexcept>
 
 #include "foxglove/CameraCalibration_generated.h"
@@ -13,6 +14,7 @@
 #include "foxglove/PointCloud_generated.h"
 #include "foxglove/RawImage_generated.h"
 #include "gateway/foxglove/point_sample.h"
+#include "metrics/image_io.h"
 
 namespace splatbus::gateway::foxglove {
 
@@ -31,6 +33,21 @@ Payload finish(flatbuffers::FlatBufferBuilder& builder, flatbuffers::Offset<Tabl
   builder.Finish(root);
   return std::make_shared<const std::string>(reinterpret_cast<const char*>(builder.GetBufferPointer()),
                                              builder.GetSize());
+}
+
+std::vector<std::uint8_t> encode_jpeg(const cv::Mat& bgr) {
+  cv::Mat rgb;
+  cv::cvtColor(bgr, rgb, cv::COLOR_BGR2RGB);
+  std::vector<std::uint8_t> file;
+  const auto append = [](void* to, void* data, int bytes) {
+    const auto* first = static_cast<const std::uint8_t*>(data);
+    auto& out = *static_cast<std::vector<std::uint8_t>*>(to);
+    out.insert(out.end(), first, first + bytes);
+  };
+  if (stbi_write_jpg_to_func(append, &file, rgb.cols, rgb.rows, 3, rgb.data, kJpegQuality) == 0) {
+    throw std::runtime_error("a picture could not be encoded");
+  }
+  return file;
 }
 
 }  // namespace
@@ -91,11 +108,7 @@ Payload camera_calibration(const Camera& camera, const std::string& frame, std::
 }
 
 Payload compressed_image(const cv::Mat& bgr, bool png, const std::string& frame, std::uint64_t time_ns) {
-  std::vector<std::uint8_t> file;
-  const std::vector<int> settings = png ? std::vector<int>{} : std::vector<int>{cv::IMWRITE_JPEG_QUALITY, kJpegQuality};
-  if (!cv::imencode(png ? ".png" : ".jpg", bgr, file, settings)) {
-    throw std::runtime_error("a picture could not be encoded");
-  }
+  const std::vector<std::uint8_t> file = png ? metrics::encode_png(bgr) : encode_jpeg(bgr);
   flatbuffers::FlatBufferBuilder builder(file.size() + 256);
   const theirs::Time time = time_of(time_ns);
   return finish(builder,

@@ -5,10 +5,10 @@
 #include <unistd.h>
 
 #include <filesystem>
-#include <opencv2/imgcodecs.hpp>
 #include <vector>
 
 #include "dynamics_evaluation.h"
+#include "metrics/image_io.h"
 
 namespace splatbus::cli {
 namespace {
@@ -239,7 +239,7 @@ TEST(DynamicsShots, TheViewersOwnPictureIsJudgedInTheSameMasks) {
   probe.picture = engine;
   probe.object_id = ids;
   probe.scene.objects = objects({7});
-  ASSERT_TRUE(cv::imwrite(folder / "probe_11_viewer.png", misses_it));
+  metrics::write_png(folder / "probe_11_viewer.png", misses_it);
   DynamicsShots shots({.from_s = 0, .to_s = 10}, nullptr, folder);
   std::vector<DynamicsSample> samples(2);
   for (std::size_t k = 0; k < 2; ++k) {

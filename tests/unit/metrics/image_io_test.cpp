@@ -7,6 +7,7 @@
 #include <cmath>
 #include <filesystem>
 #include <fstream>
+#include <opencv2/imgcodecs.hpp>
 #include <stdexcept>
 
 #include "pictures.h"
@@ -62,6 +63,17 @@ TEST_F(ImageFiles, PngKeepsEveryPixel) {
   write_png(path("picture.png"), image);
   EXPECT_EQ(cv::norm(read_png(path("picture.png")), image, cv::NORM_INF), 0);
   EXPECT_FALSE(std::filesystem::exists(path("picture.png.partial")));
+  // As others have it, whatever lies between rows, and a picture of theirs.
+  EXPECT_EQ(cv::norm(cv::imread(path("picture.png")), image, cv::NORM_INF), 0);
+  const cv::Mat part = image(cv::Rect(3, 5, image.cols - 7, image.rows - 9));
+  write_png(path("part.png"), part);
+  EXPECT_EQ(cv::norm(cv::imread(path("part.png")), part, cv::NORM_INF), 0);
+  cv::Mat grey;
+  cv::extractChannel(image, grey, 1);
+  write_png(path("grey.png"), grey);
+  EXPECT_EQ(cv::norm(cv::imread(path("grey.png"), cv::IMREAD_GRAYSCALE), grey, cv::NORM_INF), 0);
+  cv::imwrite(path("theirs.png"), image);
+  EXPECT_EQ(cv::norm(read_png(path("theirs.png")), image, cv::NORM_INF), 0);
 }
 
 TEST_F(ImageFiles, ErrorsNameTheFile) {
