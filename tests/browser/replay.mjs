@@ -149,18 +149,18 @@ function mutated(message, random) {
 }
 
 /** A mutant comes where the true message was due. One that changes what is held is the last. */
-function tamper() {
-  const messages = messagesOf(join(folder, 'short.log'));
+function tamper(log, wanted) {
+  const messages = messagesOf(join(folder, log));
   const random = randomOf(seed);
   const results = [0, 0, 0];
   let fed = 0;
   let changed = 0;
-  while (fed < Number(mutants)) {
+  while (fed < wanted) {
     const viewer = new Viewer();
     const due = random(messages.length);
     for (let k = 0; k < due; ++k) assert.equal(viewer.receive(messages[k]), 0, viewer.error);
     const before = viewer.hash;
-    for (let k = 0, usable = true; usable && k < 64 && fed < Number(mutants); ++k, ++fed) {
+    for (let k = 0, usable = true; usable && k < 64 && fed < wanted; ++k, ++fed) {
       ++results[viewer.receive(mutated(messages[due], random))];
       const same = viewer.hash === before;
       if (!same) ++changed;
@@ -174,7 +174,7 @@ function tamper() {
   }
   assert.equal(results[2], 0, 'ran out of memory');
   assert.ok(results[1] > fed / 2, `${results[1]} of ${fed} refused`);
-  console.log(`seed ${seed}: ${fed} mutants, ${results[1]} refused, ${changed} changed what is held`);
+  console.log(`seed ${seed}, ${log}: ${fed} mutants, ${results[1]} refused, ${changed} changed what is held`);
 }
 
 /** What a page wishes is in the next thing that it says of what it holds, and in what it greets with. */
@@ -200,4 +200,5 @@ function wishes() {
 replayLong();
 compareRows();
 wishes();
-tamper();
+tamper('short.log', Number(mutants));
+tamper('radiance.log', Number(mutants) / 20); // its pages are sixty times as large

@@ -10,7 +10,9 @@ within() { chroot "$root" env -i PATH=/usr/sbin:/usr/bin:/sbin:/bin HOME=/root D
 clean() {
   [ -z "${run:-}" ] || { kill "$run" 2>/dev/null || true; wait "$run" 2>/dev/null || true; }
   umount -l "$root"/{dev/shm,dev,proc} 2>/dev/null || true
-  mountpoint -q "$root/dev" || rm -rf --one-file-system "$root"
+  mountpoint -q "$root/dev" && return
+  # What was told to end may still write its last.
+  for _ in $(seq 50); do rm -rf --one-file-system "$root" 2>/dev/null && return; sleep 0.1; done
 }
 trap clean EXIT
 begin() { step="$1" begun="$(date +%s.%N)"; }

@@ -48,7 +48,7 @@ std::vector<std::string> OperatorFaults::parameter() {
 
 OperatorFault OperatorFaults::next() {
   OperatorFault fault;
-  const std::size_t kind = below(20);
+  const std::size_t kind = below(21);
   if (kind < 6) {
     fault.verb = swap();
   } else if (kind < 9) {
@@ -59,6 +59,8 @@ OperatorFault OperatorFaults::next() {
     fault.verb = parameter();
   } else if (kind < 17) {
     fault.killed = kKilled[below(kKilled.size())];
+  } else if (kind == 17) {
+    fault.verb = {"status"};  // to know what pictures do when nothing happens
   } else {
     fault.verb = swap();
     fault.killed = fault.verb[1] + (below(2) == 0 ? ".next" : "");
