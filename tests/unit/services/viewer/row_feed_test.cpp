@@ -7,7 +7,6 @@
 #include <array>
 #include <cmath>
 #include <map>
-#include <ranges>
 #include <set>
 #include <vector>
 
@@ -90,7 +89,8 @@ class RowFeedTest : public ::testing::Test {
       const std::vector<float>& drawn = solid[mean];
       ASSERT_EQ(drawn.size(), 1U) << "Gaussian " << id;
       const auto came = arrived_.find(mean);
-      if (came != arrived_.end() && !(drawn[0] == gl::kNoFade && has_near(left_ | std::views::keys, mean))) {
+      if (came != arrived_.end() &&
+          !(drawn[0] == gl::kNoFade && has_near(left_, mean, [](const auto& one) { return one.first; }))) {
         EXPECT_EQ(drawn[0], came->second) << "Gaussian " << id << " arrives at once";
       } else if (came != arrived_.end()) {
         ++stand_ins;
@@ -100,7 +100,8 @@ class RowFeedTest : public ::testing::Test {
     }
     for (const auto& [mean, at_s] : left_) {
       const std::vector<float>& drawn = vanishing[mean];
-      if (drawn.empty() && (has_near(there_ | std::views::values, mean) || has_near(left_ | std::views::keys, mean))) {
+      if (drawn.empty() && (has_near(there_, mean, [](const auto& one) { return one.second; }) ||
+                            has_near(left_, mean, [](const auto& one) { return one.first; }))) {
         ++replaced;
         continue;
       }
@@ -114,8 +115,9 @@ class RowFeedTest : public ::testing::Test {
   }
 
   /// Whether there is one who may stand for it, which needs no fade.
-  static bool has_near(const auto& means, const Mean& mean) {
-    return std::ranges::any_of(means, [&](const Mean& other) {
+  static bool has_near(const auto& all, const Mean& mean, const auto& mean_of) {
+    return std::ranges::any_of(all, [&](const auto& one) {
+      const Mean other = mean_of(one);
       return other != mean && std::hypot(other[0] - mean[0], other[1] - mean[1], other[2] - mean[2]) < kNear_m;
     });
   }
