@@ -4,23 +4,12 @@
 # purges all of it. WEB: the project's folder web, with its node_modules, for a Chromium of this machine to open the page. Needs root,
 # debootstrap and the network. Says how long each step took; what was downloaded before is not in it.
 set -euo pipefail
-packages="$(realpath "$1")" web="${2:+$(realpath "$2")}" root="$(mktemp -d)" port=7680
+packages="$(realpath "$1")" web="${2:+$(realpath "$2")}" port=7680
 fail() { echo "FAILED: $*" >&2; exit 1; }
-within() { chroot "$root" env -i PATH=/usr/sbin:/usr/bin:/sbin:/bin HOME=/root DEBIAN_FRONTEND=noninteractive "$@"; }
-clean() {
-  [ -z "${run:-}" ] || { kill "$run" 2>/dev/null || true; wait "$run" 2>/dev/null || true; }
-  umount -l "$root"/{dev/shm,dev,proc} 2>/dev/null || true
-  mountpoint -q "$root/dev" && return
-  # What was told to end may still write its last.
-  for _ in $(seq 50); do rm -rf --one-file-system "$root" 2>/dev/null && return; sleep 0.1; done
-}
-trap clean EXIT
 begin() { step="$1" begun="$(date +%s.%N)"; }
 end() { printf '%s: %.1f s\n' "$step" "$(bc <<<"$(date +%s.%N) - $begun")"; }
 
-debootstrap --variant=minbase bookworm "$root" >/dev/null
-mount -t proc proc "$root/proc"; mount --bind /dev "$root/dev"; mount --bind /dev/shm "$root/dev/shm"
-within apt-get update -qq
+source "$(dirname "$0")/bare.sh"
 # One of the two: each takes the other's place.
 programs=("$packages"/splatbus_*.deb); [ -e "${programs[0]}" ] || programs=("$packages"/splatbus-cuda_*.deb)
 mkdir "$root/packages"; cp "${programs[0]}" "$packages"/libsplatbus-engine*.deb "$root/packages"

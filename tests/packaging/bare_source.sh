@@ -3,26 +3,9 @@
 # there, and says after how long the demo names its URL and Chromium and Firefox of this machine show a picture of it. WEB: the
 # project's folder web, with its node_modules. Needs root, debootstrap and the network. PICTURES: a folder for screenshots.
 set -euo pipefail
-web="$(realpath "$1")" project="$(git -C "$(dirname "$0")" rev-parse --show-toplevel)" root="$(mktemp -d)"
-chmod 755 "$root"
-within() { chroot "$root" env -i PATH=/usr/sbin:/usr/bin:/sbin:/bin HOME=/root DEBIAN_FRONTEND=noninteractive ${ca:+NODE_EXTRA_CA_CERTS=$ca} "$@"; }
-clean() {
-  [ -z "${run:-}" ] || { kill "$run" 2>/dev/null || true; wait "$run" 2>/dev/null || true; }
-  umount -l "$root"/{dev/shm,dev,proc} 2>/dev/null || true
-  mountpoint -q "$root/dev" && return
-  # What was told to end may still write its last.
-  for _ in $(seq 50); do rm -rf --one-file-system "$root" 2>/dev/null && return; sleep 0.1; done
-}
-trap clean EXIT
-debootstrap --variant=minbase bookworm "$root" >/dev/null
-# Where this machine reaches Debian and npm by a way of its own, so does the bare one.
-cp -r /etc/apt/apt.conf.d "$root/etc/apt/"
-[ ! -e "$HOME/.npmrc" ] || cp "$HOME/.npmrc" "$root/root/"
-ca="${NODE_EXTRA_CA_CERTS:+/usr/local/share/ca.crt}"
-[ -z "$ca" ] || cp "$NODE_EXTRA_CA_CERTS" "$root$ca"
-mount -t proc proc "$root/proc"; mount --bind /dev "$root/dev"; mount --bind /dev/shm "$root/dev/shm"
+web="$(realpath "$1")" project="$(git -C "$(dirname "$0")" rev-parse --show-toplevel)"
+source "$(dirname "$0")/bare.sh"
 git clone -q "$project" "$root/root/splatbus"
-within apt-get update -qq
 
 begun="$(date +%s.%N)"
 say() { printf '%s: %.0f s\n' "$1" "$(bc <<<"$(date +%s.%N) - $begun")"; }
