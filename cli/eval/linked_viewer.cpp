@@ -53,6 +53,7 @@ void LinkedViewer::run(const std::stop_token& stop) {
       status_.gaussians = replica.count();
       status_.whole = replica.pages() > 0 && replica.missing_pages() == 0;
       status_.refused = client_.refused();
+      status_.visibility_version = replica.visibility_version();
       status_.tick_hz = tick_hz_;
       if (status_.first_ns == 0 && status_.gaussians > 0) status_.first_ns = now_ns;
       if (status_.whole_ns == 0 && status_.whole) status_.whole_ns = now_ns;
@@ -92,10 +93,14 @@ std::optional<cv::Mat> LinkedViewer::draw(const Camera& camera, const SceneState
     std::swap(changes, changes_);
   }
   display_.apply(changes);
+  visibility_.add(changes);
   if (display_.count() == 0) return {};
+  const stream::VisibilityHistory::Turn turn = visibility_.turn_to(scene.version);
+  display_.apply(turn.there);
   const GaussiansView view = display_.view(scene.light.sources);
   renderer_->read_in_place(view);
   renderer_->draw(camera, scene, {}, render_);
+  display_.apply(turn.back);
   const bool linear = view.layout.appearance == Appearance::Transfer;
   return metrics::from_planes(render_.color.data.data(), camera.width, camera.height, linear);
 }

@@ -12,6 +12,7 @@
 #include "device/stream.h"
 #include "raster/model_renderer.h"
 #include "stream/display_gaussians.h"
+#include "stream/visibility_history.h"
 #include "stream_figures.h"
 #include "viewer/stream_client.h"
 
@@ -35,26 +36,29 @@ class LinkedViewer {
     std::int64_t whole_ns = 0;  ///< when all pages that there were had come; 0 before
     bool whole = false;         ///< now
     std::size_t gaussians = 0;
-    double tick_hz = 0;         ///< of the streamer; 0 before it has said so
-    std::uint64_t refused = 0;  ///< packets that were wrong
+    double tick_hz = 0;                    ///< of the streamer; 0 before it has said so
+    std::uint64_t refused = 0;             ///< packets that were wrong
+    std::uint64_t visibility_version = 0;  ///< newest scene version that any Gaussian's visibility is of
   };
   [[nodiscard]] Status status() const;
   /// What has come so far.
   [[nodiscard]] std::vector<Arrival> arrivals() const;
   [[nodiscard]] std::vector<Delivery> deliveries() const;
 
-  /// CV_8UC3 BGR; nullopt while there is no Gaussian. Throws what has ended the thread.
+  /// What is held, with the visibility nearest to the scene's version. CV_8UC3 BGR; nullopt while there is no Gaussian.
+  /// Throws what has ended the thread.
   [[nodiscard]] std::optional<cv::Mat> draw(const Camera& camera, const SceneState& scene);
 
  private:
   void run(const std::stop_token& stop);
 
-  viewer::StreamClient client_;         // the thread's own
-  std::vector<Arrival> taken_;          // too
-  std::vector<Delivery> delivered_;     // too
-  double tick_hz_ = 0;                  // too
-  device::Stream stream_{Device::Cpu};  // the caller's
-  stream::DisplayGaussians display_;    // too
+  viewer::StreamClient client_;           // the thread's own
+  std::vector<Arrival> taken_;            // too
+  std::vector<Delivery> delivered_;       // too
+  double tick_hz_ = 0;                    // too
+  device::Stream stream_{Device::Cpu};    // the caller's
+  stream::DisplayGaussians display_;      // too
+  stream::VisibilityHistory visibility_;  // too
   std::unique_ptr<raster::ModelRenderer> renderer_;
   raster::Render render_;
 

@@ -19,9 +19,10 @@ namespace splatbus::cli {
 namespace {
 
 constexpr std::int64_t kSecond = 1'000'000'000;
-constexpr std::int64_t kRoundPatienceNs = 8 * kSecond;  // then the pictures that did not come are given up
-constexpr std::int64_t kMapPatienceNs = kSecond;        // the lights' depth comes a moment after the picture
-constexpr double kFresh_s = 1;                          // a picture that may be compared again: the scene goes on
+constexpr std::int64_t kRoundPatienceNs = 8 * kSecond;       // then the pictures that did not come are given up
+constexpr std::int64_t kMapPatienceNs = kSecond;             // the lights' depth comes a moment after the picture
+constexpr std::int64_t kVisibilityPatienceNs = 150'000'000;  // and what viewers see of them, some 20 times a second
+constexpr double kFresh_s = 1;                               // a picture that may be compared again: the scene goes on
 constexpr double kMostStart_s = 120, kMostJoin_s = 20, kMostFollow_s = 60, kMostRecovery_s = 30;
 
 class StreamRun {
@@ -68,7 +69,8 @@ class StreamRun {
     bool hurried = false;  ///< of one camera, as soon as the last was done
     bool settled = false;
     std::map<std::size_t, Compared> pictures;
-    double ssim_server = 0, ssim_viewer = 0;  ///< sums over pictures
+    std::map<std::size_t, std::int64_t> came_ns;  ///< by camera
+    double ssim_server = 0, ssim_viewer = 0;      ///< sums over pictures
   };
 
   [[nodiscard]] std::string local_endpoint() const {
@@ -160,6 +162,9 @@ class StreamRun {
       if (round_->pictures.contains(index)) continue;
       std::optional<SceneLights> lights = depths_.find(probe.scene);
       if (!lights && bus::now_ns() - round_->asked_ns < kMapPatienceNs) return;
+      const std::int64_t came_ns = round_->came_ns.try_emplace(index, bus::now_ns()).first->second;
+      const bool lit = shown_->status().visibility_version >= probe.scene.version;
+      if (!lit && bus::now_ns() - came_ns < kVisibilityPatienceNs) return;
       const Compared compared{.probe = probe, .lights = std::move(lights)};
       const auto figures = compare(compared);
       if (!figures) return;

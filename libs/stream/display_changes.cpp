@@ -14,6 +14,7 @@ struct Bytesize {
   std::size_t operator()(const DisplayBlocks& c) const { return 8 * c.blocks.size(); }
   std::size_t operator()(const DisplayLights& c) const { return 4 * c.ids.size(); }
   std::size_t operator()(const DisplaySeen& c) const { return 5 * c.rows.size(); }
+  std::size_t operator()(const DisplayVisibility&) const { return 0; }
 };
 
 }  // namespace

@@ -51,8 +51,13 @@ struct DisplaySeen {
   Bytes values;
 };
 
-using DisplayChange =
-    std::variant<DisplayReset, DisplayRows, DisplayValues, DisplayObjects, DisplayBlocks, DisplayLights, DisplaySeen>;
+/// The newest visibility is of another version of the scene: what is seen of lights from here on belongs to it.
+struct DisplayVisibility {
+  std::uint64_t scene_version = 0;
+};
+
+using DisplayChange = std::variant<DisplayReset, DisplayRows, DisplayValues, DisplayObjects, DisplayBlocks,
+                                   DisplayLights, DisplaySeen, DisplayVisibility>;
 
 /// In the order in which they are to be applied.
 class DisplayChanges {

@@ -42,6 +42,7 @@ class DisplayGaussians {
   void apply(const DisplayBlocks& change);
   void apply(const DisplayLights& change);
   void apply(const DisplaySeen& change);
+  void apply(const DisplayVisibility&) {}
   void reserve(std::size_t rows);
   /// Adds to what is pending, or, where that is much, writes it at once. `write(rows, values)` does.
   template <class T, class Write>

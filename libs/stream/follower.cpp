@@ -87,7 +87,9 @@ void Follower::take_probe_picture(const ParsedPacket& packet, std::int64_t now_n
   const wire::ProbePicture& body = *packet.root().body_as_ProbePicture();
   ProbeAnswer answer{.probe_id = body.probe_id(),
                      .camera = from_wire(*body.camera()),
-                     .scene = {.light = from_wire(*body.light()), .objects = from_wire(body.objects())},
+                     .scene = {.light = from_wire(*body.light()),
+                               .objects = from_wire(body.objects()),
+                               .version = body.scene_version()},
                      .capture_ns = packet.capture_ns(),
                      .arrived_ns = now_ns,
                      .rgba = {}};

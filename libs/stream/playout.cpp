@@ -40,6 +40,7 @@ void mix_light(const Light& from, float part, Light& to) {
 
 SceneState scene_between(const SceneState& from, const SceneState& to, double part) {
   SceneState out = to;
+  if (part < 0.5) out.version = from.version;
   const auto along = static_cast<float>(part);
   if (along < 1) mix_light(from.light, along, out.light);
   for (auto& [id, object] : out.objects) {

@@ -9,7 +9,7 @@
 namespace splatbus::stream {
 
 /// `part` of the way from one scene to the other, beyond 1 on along the same way: objects that both have, and below 1
-/// the light. What only one of the two has is as in `to`; no visibility and no count of `to` is another.
+/// the light. What only one of the two has is as in `to`; the version is that of the nearer one.
 [[nodiscard]] SceneState scene_between(const SceneState& from, const SceneState& to, double part);
 
 /// Scenes where they were a little while ago, between the states that say so, at any time of the viewer's clock. The

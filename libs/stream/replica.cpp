@@ -173,6 +173,10 @@ void Replica::note(const Change& change) {
     if (change.shows()) observer_->on_change(state, change);
     return;
   }
+  if (state.visibility_version != noted_visibility_) {
+    noted_visibility_ = state.visibility_version;
+    note(DisplayVisibility{noted_visibility_});
+  }
   if (change.lights) {
     note(DisplayLights{state.light_rows.ids()});
     if (!state.light_rows.all().empty()) {
@@ -215,6 +219,7 @@ void Replica::note(DisplayChange change) {
 }
 
 void Replica::show_whole() {
+  noted_visibility_ = shown().visibility_version;
   if (observer_) {
     observer_->on_reset(shown());
   } else {
@@ -242,6 +247,7 @@ DisplayChanges Replica::whole() const {
   const ReplicatedState& state = shown();
   DisplayChanges out;
   out.add(DisplayReset{state.layout});
+  out.add(DisplayVisibility{state.visibility_version});
   if (!state.light_rows.all().empty()) out.add(DisplayLights{state.light_rows.ids()});
   const std::vector<std::uint32_t> rows = shown_rows(state);
   if (rows.empty()) return out;

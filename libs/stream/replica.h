@@ -114,7 +114,8 @@ class Replica {
   std::uint64_t connection_ = 0;
   Report report_;
   ShownObserver* observer_ = nullptr;
-  DisplayChanges changes_;  ///< that nobody has taken yet; none where somebody observes
+  DisplayChanges changes_;              ///< that nobody has taken yet; none where somebody observes
+  std::uint64_t noted_visibility_ = 0;  ///< version of which changes_ has said so
 };
 
 }  // namespace splatbus::stream

@@ -194,7 +194,7 @@ void Streamer::forward_probe(const wire::CaptureProbe& body, const bus::Message&
                                 const auto light_offset = to_wire(builder, scene.light);
                                 return wire::CreateProbePicture(builder, body.probe_id(), body.camera(),
                                                                 static_cast<std::uint32_t>(rgba.size()), objects_offset,
-                                                                light_offset);
+                                                                light_offset, scene.version);
                               },
                               stream::zstd_compress(rgba, kPictureZstdLevel), body.header()->capture_ns()));
 }

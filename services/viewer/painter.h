@@ -20,9 +20,10 @@ class Painter {
   /// Takes what has arrived out of `shown`; true when the picture is another one.
   virtual bool take(Shown& shown) = 0;
   /// What was taken is from now on shown as it was at this time of the engine's clock; 0, as before: as it came. Not
-  /// all that was taken can be: a rasteriser has what is newest.
+  /// all that was taken can be.
   virtual void advance(std::int64_t /*shown_ns*/) {}
-  /// The picture of what was taken, without fades, and of what advance() plays out as it was then. CV_8UC3 BGR.
+  /// The picture of what was taken, without fades: what is seen of the lights as it was at the scene's version (by a
+  /// rasteriser), or as advance() plays it out. CV_8UC3 BGR.
   [[nodiscard]] virtual cv::Mat draw(const Camera& camera, const SceneState& scene) = 0;
   /// CV_8UC1: 255 where Gaussians of what was taken hide all that lies behind them, the far field's left out. Empty
   /// where it is not known.
@@ -33,6 +34,8 @@ class Painter {
   [[nodiscard]] virtual bool settles(float /*time_s*/) const { return false; }
   /// Whether the next draw() may be: other colours are on their way.
   [[nodiscard]] virtual bool recoloring() const { return false; }
+  /// Scene version whose visibility the last picture was drawn with; nullopt where it is not known.
+  [[nodiscard]] virtual std::optional<std::uint64_t> drawn_visibility() const { return std::nullopt; }
   /// Gaussians that the last picture shows; nullopt where it is not known. Waits for the device.
   [[nodiscard]] virtual std::optional<std::size_t> drawn() const { return std::nullopt; }
   /// Of what there is; nullopt where it is not known.

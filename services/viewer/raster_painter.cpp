@@ -2,6 +2,7 @@
 #include "metrics/image_io.h"
 #include "raster/model_renderer.h"
 #include "stream/display_gaussians.h"
+#include "stream/visibility_history.h"
 #include "viewer/painter.h"
 #include "viewer/scaled.h"
 
@@ -16,6 +17,7 @@ class RasterPainter final : public Painter {
   bool take(Shown& shown) override {
     if (shown.changes.empty()) return false;
     display_.apply(shown.changes);
+    visibility_.add(shown.changes);
     shown.changes.clear();
     model_changed_ = true;
     return true;
@@ -42,20 +44,28 @@ class RasterPainter final : public Painter {
     window.show(draw(scaled(camera, window.settings().resolution), scene));
   }
 
+  std::optional<std::uint64_t> drawn_visibility() const override { return drawn_visibility_; }
+
  private:
-  /// Returns whether colours are linear.
+  /// With what was seen of the lights when the scene was of that version. Returns whether colours are linear.
   bool render(const Camera& camera, const SceneState& scene) {
+    const stream::VisibilityHistory::Turn turn = visibility_.turn_to(scene.version);
+    drawn_visibility_ = turn.version;
+    display_.apply(turn.there);
     const GaussiansView view = display_.view(scene.light.sources);
     // The rows of a probe's lights may be others.
     if (model_changed_ || view.visibility_u8 != drawn_rows_) renderer_->read_in_place(view);
     drawn_rows_ = view.visibility_u8;
     model_changed_ = false;
     renderer_->draw(camera, scene, {}, render_);
+    display_.apply(turn.back);
     return view.layout.appearance == Appearance::Transfer;
   }
 
   device::Stream stream_;
   stream::DisplayGaussians display_;
+  stream::VisibilityHistory visibility_;
+  std::uint64_t drawn_visibility_ = 0;
   std::unique_ptr<raster::ModelRenderer> renderer_;
   raster::Render render_;
   bool model_changed_ = true;  ///< since the renderer read it

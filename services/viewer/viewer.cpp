@@ -200,7 +200,7 @@ bool Viewer::show(bool changed) {
   ages_.drawn(scene,
               {.shown_ns = moving ? playout_.shown_ns() : 0,  // a picture of a scene at rest is as old as the scene
                .finished_ns = bus::now_ns(),
-               .visibility_version = shown_.visibility_version});
+               .visibility_version = painter_->drawn_visibility().value_or(shown_.visibility_version)});
   if (first_picture_ns_ == 0) {
     first_picture_ns_ = bus::now_ns();
     spdlog::info("first picture, {} Gaussians", shown_.gaussians);

@@ -122,6 +122,13 @@ TEST(Playout, ALightIsOnItsWayBetweenTheTwoStatesThatSayIt) {
   EXPECT_NEAR(glm::length(light.sun_direction), 1, 1e-6);
 }
 
+TEST(Playout, WhatIsBetweenTwoStatesIsOfTheNearersVersion) {
+  const SceneState from{.light = {}, .objects = {}, .version = 7}, to{.light = {}, .objects = {}, .version = 9};
+  EXPECT_EQ(scene_between(from, to, 0.4).version, 7U);
+  EXPECT_EQ(scene_between(from, to, 0.6).version, 9U);
+  EXPECT_EQ(scene_between(from, to, 1.3).version, 9U);
+}
+
 TEST(Playout, RunsSlowerWhileTheDelayGrowsAndNeverBack) {
   Playout playout;
   std::int64_t sent = 0, before = 0;

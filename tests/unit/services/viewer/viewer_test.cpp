@@ -1,5 +1,6 @@
 #include "viewer/viewer.h"
 
+#include <fmt/format.h>
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -56,6 +57,25 @@ class ViewerTest : public StreamTest {
   std::unique_ptr<viewer::Viewer> viewer_;
   std::thread thread_;
 };
+
+/// As the engine does, with what it is said to have drawn.
+void answer(bus::Publisher& engine, const wire::ViewerProbe& asked, const SceneState& scene,
+            const raster::Render& render, std::int64_t capture_ns = 0) {
+  const Camera camera = from_wire(*asked.camera());
+  const cv::Mat bgr = metrics::from_planes(render.color.data.data(), camera.width, camera.height, true);
+  std::vector<std::uint8_t> rgba(std::size_t{camera.width} * camera.height * 4, 255);
+  for (std::size_t i = 0; i < rgba.size() / 4; ++i) {
+    for (std::size_t c = 0; c < 3; ++c) rgba[4 * i + c] = bgr.data[3 * i + 2 - c];
+  }
+  const bus::OutgoingTensor color{.name = "color",
+                                  .shape = {camera.height, camera.width, 4},
+                                  .type = bus::ElementType::U8,
+                                  .inline_data = rgba.data()};
+  engine.publish(
+      topics::kCaptureProbe, {.capture_ns = capture_ns, .tensors = {color}}, [&](auto& builder, auto header) {
+        return wire::CreateCaptureProbe(builder, header, asked.probe_id(), asked.camera(), to_wire(builder, scene, 1));
+      });
+}
 
 Light daylight() {
   Light light;
@@ -149,19 +169,7 @@ TEST_F(ViewerTest, ComparesItsPictureWithTheEnginesOwn) {
       probed = camera;
       raster::Render render;
       rasterizer->render(model.view(), camera, {light, {}}, {}, render);
-      const cv::Mat bgr = metrics::from_planes(render.color.data.data(), camera.width, camera.height, true);
-      std::vector<std::uint8_t> rgba(std::size_t{camera.width} * camera.height * 4, 255);
-      for (std::size_t i = 0; i < rgba.size() / 4; ++i) {
-        for (std::size_t c = 0; c < 3; ++c) rgba[4 * i + c] = bgr.data[3 * i + 2 - c];
-      }
-      const bus::OutgoingTensor color{.name = "color",
-                                      .shape = {camera.height, camera.width, 4},
-                                      .type = bus::ElementType::U8,
-                                      .inline_data = rgba.data()};
-      answers.publish(topics::kCaptureProbe, {.tensors = {color}}, [&](auto& builder, auto header) {
-        return wire::CreateCaptureProbe(builder, header, body.probe_id(), body.camera(),
-                                        to_wire(builder, SceneState{.light = light, .objects = {}}, 1));
-      });
+      answer(answers, body, {.light = light, .objects = {}}, render);
     }
     while (const auto message = qualities.receive(1ms)) {
       const auto& body = message->root<wire::ViewerQuality>();
@@ -189,6 +197,82 @@ TEST_F(ViewerTest, ComparesItsPictureWithTheEnginesOwn) {
     most_off = std::max(most_off, std::abs(alpha.at<cv::Vec3b>(i / 64, i % 64)[0] - expected));
   }
   EXPECT_LT(most_off, 12);
+}
+
+// The engine's picture of an instant comes later than what is seen of the lights a moment after it.
+TEST_F(ViewerTest, ComparesAnInstantWithItsOwnShadows) {
+  GaussiansBuffer model = stream::test::toy_model(2000, 1);
+  SceneState lit{.light = daylight(), .objects = {}, .version = 10};
+  lit.light.ambient_sh[0] = glm::vec3(0.2F);
+  lit.light.sun_irradiance = glm::vec3(4);
+  const std::int64_t begin_ns = bus::now_ns();
+  trainer_.publish_scene(lit, begin_ns);
+  const std::vector<std::uint32_t> index = trainer_.publish(model);
+  const auto all_see = [&](std::uint8_t seen, std::uint64_t version) {
+    const std::size_t indices = std::size_t{1} + *std::ranges::max_element(index);
+    trainer_.publish_visibility(std::vector<std::uint8_t>(indices, seen), trainer_.generation(), version);
+  };
+  start_streamer();
+  bus::Subscriber probes(peer_, {"viewer/probe"}), qualities(peer_, {"viewer/quality"});
+  bus::Publisher answers(peer_);
+  start_viewer({{"out", out_},
+                {"frames", "1"},
+                {"fps", "30"},
+                {"path", "still"},
+                {"probe", "true"},
+                {"probe_period_s", "0.1"},
+                {"width", "64"},
+                {"height", "64"},
+                {"threads", "1"}});
+  int frame = 0;
+  const auto brightness = [&] {
+    while (fs::exists(fs::path(out_) / fmt::format("frame_{:06}.png", frame + 1))) ++frame;
+    const cv::Mat picture = metrics::read_png(fs::path(out_) / fmt::format("frame_{:06}.png", frame));
+    return picture.empty() ? -1 : cv::mean(picture)[1];
+  };
+  ASSERT_TRUE(bus_test::eventually([&] { return fs::exists(fs::path(out_) / "frame_000000.png"); }));
+  all_see(0, 10);
+  double dark = 0;
+  ASSERT_TRUE(bus_test::eventually([&] {
+    const double before = std::exchange(dark, brightness());
+    return before > 0 && dark == before && dark < 40;
+  })) << dark;
+  lit.version = 11;
+  trainer_.publish_scene(lit, begin_ns + 40'000'000);
+  all_see(255, 11);
+  ASSERT_TRUE(bus_test::eventually([&] { return brightness() > dark + 30; })) << dark;
+
+  // The engine is played by a render of the model as its Gaussians were lit then.
+  const auto rasterizer = raster::make_cpu_rasterizer(1);
+  float psnr = 0;
+  const auto compared = [&](std::uint64_t version, float seen) {
+    std::uint64_t asked = 0;
+    psnr = 0;
+    const bool answered = bus_test::eventually([&] {
+      while (const auto message = probes.receive(1ms)) {
+        if (asked != 0) continue;
+        const auto& body = message->root<wire::ViewerProbe>();
+        asked = body.probe_id();
+        GaussiansBuffer then = model;
+        std::ranges::fill(then.visibility, seen);
+        SceneState scene = lit;
+        scene.version = version;
+        raster::Render render;
+        rasterizer->render(then.view(), from_wire(*body.camera()), scene, {}, render);
+        answer(answers, body, scene, render, begin_ns);
+      }
+      while (const auto message = qualities.receive(1ms)) {
+        const auto& body = message->root<wire::ViewerQuality>();
+        if (body.probe_id() == asked) psnr = body.psnr_db();
+      }
+      return psnr > 0;
+    });
+    return answered;
+  };
+  ASSERT_TRUE(compared(10, 0));
+  EXPECT_GT(psnr, 40) << "with another instant's shadows";
+  ASSERT_TRUE(compared(11, 1));
+  EXPECT_GT(psnr, 40) << "what is newest did not come back";
 }
 
 TEST_F(ViewerTest, ItsPathIsSteeredWhileItRuns) {

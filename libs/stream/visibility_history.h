@@ -1,0 +1,66 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <deque>
+#include <map>
+#include <vector>
+
+#include "stream/display_changes.h"
+
+namespace splatbus::stream {
+
+/// What the Gaussians of a display saw of the lights when the scene was of an earlier version, so that a picture of that
+/// version can be drawn with its own shadows: visibility arrives all the time, and the engine's picture of an instant
+/// later than what belongs to it. One thread.
+class VisibilityHistory {
+ public:
+  static constexpr std::size_t kMaxEntries = 64;
+  static constexpr std::size_t kMaxValues = std::size_t{1} << 20;  ///< of all lights, five bytes each
+
+  /// What a DisplayGaussians is given, in the same order.
+  void add(const DisplayChanges& changes);
+
+  /// What a display that has had all of it does to show the visibility whose version is nearest to `scene_version`, of
+  /// those that are kept, and what it does afterwards to show the newest again. Gaussians that came since stay as they
+  /// are. Both are empty where the newest is the nearest, or the version is 0: not known.
+  struct Turn {
+    std::uint64_t version = 0;  ///< of what is shown then
+    DisplayChanges there, back;
+  };
+  [[nodiscard]] Turn turn_to(std::uint64_t scene_version) const;
+
+ private:
+  /// Values as they were before they changed, in the order in which they did.
+  struct Before {
+    std::vector<std::uint32_t> rows;
+    Bytes values;
+  };
+  /// What changed while the newest visibility was of one version.
+  struct Entry {
+    std::uint64_t number = 1, version = 0;
+    std::map<std::uint32_t, Before> lights;  ///< by id, 0 the sun
+  };
+
+  void add(const DisplayReset& change);
+  void add(const DisplayRows& change);
+  void add(const DisplayValues& change);
+  void add(const DisplayObjects&) {}
+  void add(const DisplayBlocks&) {}
+  void add(const DisplayLights& change);
+  void add(const DisplaySeen& change);
+  void add(const DisplayVisibility& change);
+  template <class Value>
+  void see(std::uint32_t light_id, const std::vector<std::uint32_t>& rows, const std::vector<Value>& values);
+  void forget();
+  void emit(std::uint32_t light_id, std::vector<std::uint32_t> rows, const Bytes& values, DisplayChanges& out) const;
+
+  int visibility_channel_ = -1;             ///< of the layout; none: there is nothing to keep
+  std::map<std::uint32_t, Bytes> seen_;     ///< [rows] now, by light; a row beyond the end sees all
+  std::vector<std::uint64_t> replaced_in_;  ///< [rows] number of the entry in which its Gaussian came; 0: before all
+  std::deque<Entry> entries_;               ///< the newest version's is open_
+  Entry open_;
+  std::size_t values_ = 0;  ///< of entries_
+};
+
+}  // namespace splatbus::stream
