@@ -146,6 +146,20 @@ std::vector<std::string> names_of(const std::vector<std::size_t>& after, const L
   return names;
 }
 
+/// Of `names`, highest first, those that could not be started; one that only waits for others stays. Returns which.
+std::vector<std::string> remove_failed(const Operated& operated, const std::vector<std::string>& names) {
+  std::vector<std::string> failed;
+  const Statuses all = operated.supervisor.status();
+  for (auto name = names.rbegin(); name != names.rend(); ++name) {
+    const auto process = std::ranges::find(all, *name, &ProcessStatus::name);
+    if (process == all.end()) continue;
+    if (process->state != ProcessState::Failed && process->state != ProcessState::BackOff) break;
+    operated.supervisor.remove(*name);
+    failed.push_back(*name);
+  }
+  return failed;
+}
+
 Json scale(Operated& operated, const Json& request, const ControlServer::Tell& tell, const std::stop_token& stop) {
   const auto turn = take_turn(operated, wait_s(request), tell);
   const std::string service_name = request.at("service").get<std::string>();
@@ -185,7 +199,14 @@ Json scale(Operated& operated, const Json& request, const ControlServer::Tell& t
     removed.push_back(replica->second);
   }
   service->replicas = std::max(wanted, 1);
-  wait_for_running(operated, added, wait_s(request), stop);
+  try {
+    wait_for_running(operated, added, wait_s(request), stop);
+  } catch (const std::exception& error) {
+    const std::vector<std::string> failed = remove_failed(operated, added);
+    if (failed.empty()) throw;
+    service->replicas = std::max(wanted - static_cast<int>(failed.size()), 1);
+    throw std::runtime_error(fmt::format("{}; removed again: {}", error.what(), fmt::join(failed, ", ")));
+  }
   return {{"added", added}, {"removed", removed}};
 }
 

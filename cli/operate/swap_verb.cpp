@@ -40,6 +40,10 @@ class SupervisorSwapHost final : public SwapHost {
     const auto beside = status().beside;
     if (!beside) return "it was dropped";
     if (!beside->exit) return std::nullopt;
+    if (std::ranges::any_of(beside->last_lines, names_option)) {
+      return fmt::format("{} cannot stand by beside it; 'splatbus restart {}' starts another at once",
+                         plan_.program.filename().string(), plan_.name);
+    }
     const std::string how = beside->exit->text();
     return beside->last_lines.empty() ? how : fmt::format("{}: {}", how, beside->last_lines.back());
   }
@@ -49,6 +53,10 @@ class SupervisorSwapHost final : public SwapHost {
   void restart_predecessor() override { supervisor_.restart(plan_.name); }
 
  private:
+  /// What a program says that does not know the option.
+  [[nodiscard]] static bool names_option(const std::string& line) {
+    return line.find("--successor") != std::string::npos;
+  }
   [[nodiscard]] ProcessStatus status() const {
     for (ProcessStatus& process : supervisor_.status()) {
       if (process.name == plan_.name) return std::move(process);

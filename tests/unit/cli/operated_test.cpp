@@ -112,6 +112,21 @@ TEST_F(OperatedTest, ScaleAfterScaleLeavesNoGhost) {
   EXPECT_EQ(names().size(), 4U);
 }
 
+TEST_F(OperatedTest, ReplicasThatCannotBeStartedAreNotLeftBehind) {
+  const std::string broken = folder_ + "/broken";
+  up("services:\n  - {name: streamer, program: /bin/sh, args: ['-c', 'test ! -e " + broken +
+     " || exit 3; sleep 1000'], heartbeat_timeout_s: 0,\n"
+     "     readiness: {command: [sleep, '0.2'], period_s: 0.05}}\n");
+  static_cast<void>(scale("streamer", 2));
+  std::ofstream{broken};
+  EXPECT_THAT(refusal({{"verb", "scale"}, {"service", "streamer"}, {"replicas", 4}, {"wait_s", 1.5}}),
+              AllOf(HasSubstr("streamer-3 is "), HasSubstr("removed again: streamer-4, streamer-3")));
+  EXPECT_THAT(names(), ElementsAre("streamer", "streamer-2"));
+  EXPECT_EQ(status("streamer-2").state, ProcessState::Running);
+  std::filesystem::remove(broken);
+  EXPECT_THAT(scale("streamer", 3).at("added"), ElementsAre("streamer-3"));
+}
+
 TEST_F(OperatedTest, AMistypedServiceGetsTheNearestOne) {
   up("services:\n  - {name: streamer, program: /bin/sleep, args: ['1000'], heartbeat_timeout_s: 0, replicas: 2}\n");
   for (const char* verb : {"start", "stop", "restart"}) {
