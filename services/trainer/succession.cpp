@@ -105,6 +105,18 @@ void Trainer::adopt_handover() {
   if (successor_) service_.ready();
 }
 
+// A trainer that is told to end may be one that is restarted: without moments and ages the next one would begin with
+// the rates of a beginner, and spoil for seconds what was learned.
+void Trainer::leave_behind() {
+  constexpr std::size_t kMostBytes = std::size_t{512} << 20U;  // more would keep whoever ends it waiting
+  if (store_->count() == 0 || optimizer_->handover_bytes() > kMostBytes) return;
+  try {
+    hand_over();
+  } catch (const std::exception& error) {
+    spdlog::warn("moments and ages are not kept for a trainer that comes after: {}", error.what());
+  }
+}
+
 void Trainer::hand_over() {
   finish_steps();
   optimizer_->publish(publisher_);

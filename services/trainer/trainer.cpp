@@ -75,7 +75,11 @@ void Trainer::run() {
     throw std::runtime_error(failure.what());
   }
   if (optimizer_failure_) std::rethrow_exception(optimizer_failure_);
-  if (service_.yields()) hand_over();
+  if (service_.yields()) {
+    hand_over();
+  } else {
+    leave_behind();
+  }
 }
 
 void Trainer::open_store() {

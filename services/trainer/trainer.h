@@ -66,6 +66,7 @@ class Trainer {
   void adopt_handover();
   /// Leaves it, after all that was published of the model.
   void hand_over();
+  void leave_behind();
 
   // Message thread.
   void receive();

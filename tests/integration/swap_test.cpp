@@ -1,4 +1,5 @@
 #include <gtest/gtest.h>
+#include <signal.h>
 
 #include <algorithm>
 #include <map>
@@ -119,6 +120,25 @@ TEST(Swap, ATrainerHandsTheModelOver) {
   EXPECT_TRUE(pipeline.wait_for_picture(0.8)) << pipeline.log();
   EXPECT_EQ(viewer_counter(pipeline, "lost_packets"), lost) << "the stream goes on without a gap";
   EXPECT_EQ(pipeline.pids().at("viewer"), pids.at("viewer"));
+}
+
+TEST(Swap, ATrainerThatIsRestartedGoesOnWithItsMoments) {
+  Pipeline pipeline;
+  ModelWatch model(pipeline.context());
+  ASSERT_TRUE(pipeline.wait_for_picture(0.8)) << pipeline.log();
+  ASSERT_TRUE(pipeline.wait_until([&] {
+    model.poll();
+    return model.pid != 0 && model.epoch != 0;
+  })) << pipeline.log();
+  const std::uint64_t epoch = model.epoch;
+  const pid_t pid = model.pid;
+  ASSERT_EQ(model.handed_over, 0);
+  ASSERT_EQ(::kill(pid, SIGTERM), 0);
+  ASSERT_TRUE(pipeline.wait_until([&] {
+    model.poll();
+    return model.epoch > epoch && model.pid != pid && model.handed_over > 0;
+  })) << pipeline.log();
+  EXPECT_EQ(model.handed_over, static_cast<double>(model.counts[epoch])) << "each with its moments and age";
 }
 
 }  // namespace
