@@ -1,20 +1,30 @@
 # The page, web/, into share/splatbus/web beside bin/, where the gateway finds it: the target splatbus_web. It needs the
-# module of SplatbusWasm, Node.js 18 or later, and npm with a registry for what the lock file names. Where one of them is
-# missing the page is not built, and all else is.
+# module of SplatbusWasm, Node.js 18 or later, and npm with a registry for what the lock file names or, without npm,
+# Debian's esbuild. Where one of them is missing the page is not built, and all else is.
 include(SplatbusWasm)
 set(SPLATBUS_WEB)
 find_program(SPLATBUS_NODE NAMES node nodejs)
 find_program(SPLATBUS_NPM npm)
 if(NOT SPLATBUS_WASM)
   return()
-elseif(NOT SPLATBUS_NODE OR NOT SPLATBUS_NPM)
-  message(STATUS "No node and npm here, so the page is not built")
+elseif(NOT SPLATBUS_NODE)
+  message(STATUS "No node here, so the page is not built")
   return()
 endif()
 
 set(web "${CMAKE_SOURCE_DIR}/web")
 set(installed "${web}/node_modules/.package-lock.json")
-if(NOT EXISTS "${installed}" OR "${web}/package-lock.json" IS_NEWER_THAN "${installed}")
+if(NOT SPLATBUS_NPM)
+  execute_process(
+    COMMAND "${SPLATBUS_NODE}" -e "require('esbuild')"
+    WORKING_DIRECTORY "${web}"
+    RESULT_VARIABLE result
+    OUTPUT_QUIET ERROR_QUIET)
+  if(NOT result EQUAL 0)
+    message(STATUS "No npm and no esbuild here, so the page is not built")
+    return()
+  endif()
+elseif(NOT EXISTS "${installed}" OR "${web}/package-lock.json" IS_NEWER_THAN "${installed}")
   message(STATUS "Installing what the page is built with, by npm ci")
   execute_process(
     COMMAND "${SPLATBUS_NPM}" ci --ignore-scripts --no-audit --no-fund --loglevel=error --fetch-retry-maxtimeout=10000

@@ -1,10 +1,12 @@
 // Bundles the page: node build.mjs OUT [--watch]. With --tests also the pages that tests drive, into OUT itself.
 import { cp, mkdir } from 'node:fs/promises';
+import { createRequire } from 'node:module';
 import { dirname, join, resolve } from 'node:path';
 import { fileURLToPath } from 'node:url';
 import { parseArgs } from 'node:util';
-import { build, context } from 'esbuild';
 
+// Of the lock file; where npm has installed nothing, Debian's, which require() alone finds.
+const { build, context } = createRequire(import.meta.url)('esbuild');
 const here = dirname(fileURLToPath(import.meta.url));
 const { values, positionals } = parseArgs({
   allowPositionals: true,
