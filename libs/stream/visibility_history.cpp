@@ -1,6 +1,7 @@
 #include "stream/visibility_history.h"
 
 #include <algorithm>
+#include <set>
 #include <utility>
 #include <variant>
 
@@ -80,7 +81,7 @@ void VisibilityHistory::forget() {
   values_ = 0;
 }
 
-VisibilityHistory::Turn VisibilityHistory::turn_to(std::uint64_t scene_version) const {
+VisibilityHistory::Turn VisibilityHistory::turn_to(std::uint64_t scene_version) {
   const auto distance = [&](const Entry& entry) {
     return entry.version > scene_version ? entry.version - scene_version : scene_version - entry.version;
   };
@@ -94,32 +95,44 @@ VisibilityHistory::Turn VisibilityHistory::turn_to(std::uint64_t scene_version) 
   if (scene_version == 0) shown = entries_.size();
   Turn turn{.version = shown < entries_.size() ? entries_[shown].version : open_.version, .there = {}, .back = {}};
   if (shown == entries_.size()) return turn;
-  std::map<std::uint32_t, std::map<std::uint32_t, std::uint8_t>> then;  // by light and row
-  const auto undo = [&](const Entry& entry) {
-    for (const auto& [light_id, before] : entry.lights) {
-      for (std::size_t i = before.rows.size(); i-- > 0;) {
-        const std::uint32_t row = before.rows[i];
-        if (row < replaced_in_.size() && entry.number <= replaced_in_[row]) continue;
-        then[light_id][row] = before.values[i];
-      }
-    }
+  std::set<std::uint32_t> lights;
+  const auto list = [&](const Entry& entry) {
+    for (const auto& [light_id, before] : entry.lights) lights.insert(light_id);
   };
-  undo(open_);
-  for (std::size_t k = entries_.size(); --k > shown;) undo(entries_[k]);
-  for (const auto& [light_id, rows] : then) {
+  list(open_);
+  for (std::size_t k = entries_.size(); --k > shown;) list(entries_[k]);
+  for (const std::uint32_t light_id : lights) {
+    Before then;  // a row once
+    undo(open_, light_id, then);
+    for (std::size_t k = entries_.size(); --k > shown;) undo(entries_[k], light_id, then);
     const Bytes& seen = seen_.at(light_id);
-    std::vector<std::uint32_t> changed;
-    Bytes was, is;
-    for (const auto& [row, value] : rows) {
-      if (seen[row] == value) continue;
-      changed.push_back(row);
-      was.push_back(value);
-      is.push_back(seen[row]);
+    Bytes now;
+    for (const std::uint32_t row : then.rows) {
+      now.push_back(seen[row]);
+      place_[row] = kNone;
     }
-    emit(light_id, changed, was, turn.there);
-    emit(light_id, std::move(changed), is, turn.back);
+    emit(light_id, then.rows, then.values, turn.there);
+    emit(light_id, std::move(then.rows), now, turn.back);
   }
   return turn;
+}
+
+void VisibilityHistory::undo(const Entry& entry, std::uint32_t light_id, Before& then) {
+  const auto found = entry.lights.find(light_id);
+  if (found == entry.lights.end()) return;
+  const Before& before = found->second;
+  for (std::size_t i = before.rows.size(); i-- > 0;) {
+    const std::uint32_t row = before.rows[i];
+    if (row < replaced_in_.size() && entry.number <= replaced_in_[row]) continue;
+    if (place_.size() <= row) place_.resize(std::size_t{row} + 1, kNone);
+    if (place_[row] == kNone) {
+      place_[row] = static_cast<std::uint32_t>(then.rows.size());
+      then.rows.push_back(row);
+      then.values.push_back(before.values[i]);
+    } else {
+      then.values[place_[row]] = before.values[i];
+    }
+  }
 }
 
 void VisibilityHistory::emit(std::uint32_t light_id, std::vector<std::uint32_t> rows, const Bytes& values,

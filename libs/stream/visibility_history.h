@@ -10,9 +10,9 @@
 
 namespace splatbus::stream {
 
-/// What the Gaussians of a display saw of the lights when the scene was of an earlier version, so that a picture of that
-/// version can be drawn with its own shadows: visibility arrives all the time, and the engine's picture of an instant
-/// later than what belongs to it. One thread.
+/// What the Gaussians of a display saw of the lights when the scene was of an earlier version, so that a picture of
+/// that version can be drawn with its own shadows: visibility arrives all the time, and the engine's picture of an
+/// instant later than what belongs to it. One thread.
 class VisibilityHistory {
  public:
   static constexpr std::size_t kMaxEntries = 64;
@@ -28,7 +28,7 @@ class VisibilityHistory {
     std::uint64_t version = 0;  ///< of what is shown then
     DisplayChanges there, back;
   };
-  [[nodiscard]] Turn turn_to(std::uint64_t scene_version) const;
+  [[nodiscard]] Turn turn_to(std::uint64_t scene_version);
 
  private:
   /// Values as they were before they changed, in the order in which they did.
@@ -53,6 +53,8 @@ class VisibilityHistory {
   template <class Value>
   void see(std::uint32_t light_id, const std::vector<std::uint32_t>& rows, const std::vector<Value>& values);
   void forget();
+  /// Adds to `then` what was seen of the light before the entry, in place of what it has of the same row.
+  void undo(const Entry& entry, std::uint32_t light_id, Before& then);
   void emit(std::uint32_t light_id, std::vector<std::uint32_t> rows, const Bytes& values, DisplayChanges& out) const;
 
   int visibility_channel_ = -1;             ///< of the layout; none: there is nothing to keep
@@ -61,6 +63,8 @@ class VisibilityHistory {
   std::deque<Entry> entries_;               ///< the newest version's is open_
   Entry open_;
   std::size_t values_ = 0;  ///< of entries_
+  static constexpr std::uint32_t kNone = ~std::uint32_t{0};
+  std::vector<std::uint32_t> place_;  ///< [rows] in what undo() adds to; kNone between calls of turn_to()
 };
 
 }  // namespace splatbus::stream

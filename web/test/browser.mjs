@@ -1,5 +1,5 @@
 // A headless Chromium and a server of static files, for the tests.
-import { createReadStream, existsSync } from 'node:fs';
+import { createReadStream, existsSync, readdirSync, readFileSync } from 'node:fs';
 import { createServer } from 'node:http';
 import { extname, join, normalize } from 'node:path';
 import { fileURLToPath } from 'node:url';
@@ -58,6 +58,21 @@ export function launch(more = []) {
       ...more,
     ],
   });
+}
+
+/** The processes of browsers that this one has started and that run now. */
+export function browserProcesses() {
+  const parents = new Map();
+  for (const pid of readdirSync('/proc').filter((name) => /^\d+$/.test(name)).map(Number)) {
+    try {
+      const [, name, parent] = readFileSync(`/proc/${pid}/stat`, 'utf8').match(/^\d+ \((.*)\) \S (\d+)/s);
+      parents.set(pid, { name, parent: Number(parent) });
+    } catch {
+      // it has ended
+    }
+  }
+  const isOurs = (pid) => pid === process.pid || (parents.has(pid) && isOurs(parents.get(pid).parent));
+  return new Set([...parents].filter(([pid, { name }]) => name.startsWith('chrom') && isOurs(pid)).map(([pid]) => pid));
 }
 
 /** Every picture that the page comes to show from now on; call what this returns for them, as PNG. */

@@ -1,7 +1,8 @@
 // The page before a real pipeline: compared with the engine, together with others, and while services are killed.
 import assert from 'node:assert/strict';
+import { readFileSync } from 'node:fs';
 import { after, before, test } from 'node:test';
-import { filmed, launch } from './browser.mjs';
+import { browserProcesses, filmed, launch } from './browser.mjs';
 import { startPipeline, until } from './pipeline.mjs';
 import { colorsIn, readPng } from './png.mjs';
 import { letTrap, trapIn } from './trapping.mjs';
@@ -30,6 +31,7 @@ after(async () => {
   await pipeline?.close();
 });
 
+const residentBytes = (pid) => 1024 * Number(readFileSync(`/proc/${pid}/status`, 'utf8').match(/VmRSS:\s+(\d+)/)[1]);
 const figures = () => page.evaluate(() => window.splatbus.figures);
 /** Waits for what the figures say; at no time may the picture be gone. The site's policy lets no page make functions. */
 const standsUntil = (condition, before) =>
@@ -105,6 +107,34 @@ test('twenty pages at once', async () => {
   }
   // The twenty-first has gone on.
   await standsUntil((now, then) => now.sequence > then, (await figures()).sequence);
+});
+
+test('a page that stops reading harms none, and goes on when it reads again', async () => {
+  const before = browserProcesses();
+  const other = await launch();
+  let stopped = [];
+  const signal = (name) => [...browserProcesses()].filter((pid) => stopped.includes(pid)).forEach((pid) => process.kill(pid, name));
+  try {
+    const theirs = await other.newPage({ viewport: { width: 320, height: 200 } });
+    theirs.setDefaultTimeout(60_000);
+    await theirs.goto(pipeline.url);
+    await theirs.waitForFunction(() => window.splatbus?.figures?.gaussians > 1000 && window.splatbus.figures.missing === 0);
+    const heard = await theirs.evaluate(() => window.splatbus.figures.sequence);
+    const resident = async () => (await pipeline.status()).services.filter((one) => ['gateway', 'streamer'].includes(one.source)).map((one) => residentBytes(one.pid));
+    const atFirst = await resident();
+    stopped = [...browserProcesses()].filter((pid) => !before.has(pid));
+    signal('SIGSTOP');
+    // Twenty ticks, of which the good page hears as before.
+    const { sequence } = await figures();
+    await standsUntil((now, then) => now.sequence > then + 20, sequence);
+    const grown = (await resident()).map((bytes, k) => bytes - atFirst[k]);
+    assert.ok(Math.max(...grown) < 64 << 20, `gateway and streamer have grown by ${grown}`);
+    signal('SIGCONT');
+    await theirs.waitForFunction((then) => window.splatbus.connection === 'open' && window.splatbus.figures.sequence > then && window.splatbus.figures.missing === 0, heard);
+  } finally {
+    signal('SIGCONT');
+    await other.close();
+  }
 });
 
 test('the gateway is killed: the picture stands, and the stream goes on', async () => {

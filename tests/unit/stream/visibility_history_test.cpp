@@ -1,5 +1,5 @@
-// A display shows what was seen of the lights under an earlier version of the scene, and then what is seen now. Truth is
-// what the display itself held when that version was the newest.
+// A display shows what was seen of the lights under an earlier version of the scene, and then what is seen now. Truth
+// is what the display itself held when that version was the newest.
 #include "stream/visibility_history.h"
 
 #include <gtest/gtest.h>
@@ -44,7 +44,9 @@ class VisibilityHistoryTest : public testing::Test {
     if (lamp_) changes_.add(DisplaySeen{0, rows, Bytes(seen.begin(), seen.end())});
     changes_.add(DisplayValues{.attribute = Attribute::Visibility, .rows = std::move(rows), .values = std::move(seen)});
   }
-  void lamp(std::vector<std::uint32_t> rows, Bytes seen) { changes_.add(DisplaySeen{kLamp, std::move(rows), std::move(seen)}); }
+  void lamp(std::vector<std::uint32_t> rows, Bytes seen) {
+    changes_.add(DisplaySeen{kLamp, std::move(rows), std::move(seen)});
+  }
   void add_lamp() {
     lamp_ = true;
     changes_.add(DisplayLights{{kLamp}});
