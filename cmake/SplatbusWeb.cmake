@@ -14,17 +14,7 @@ endif()
 
 set(web "${CMAKE_SOURCE_DIR}/web")
 set(installed "${web}/node_modules/.package-lock.json")
-if(NOT SPLATBUS_NPM)
-  execute_process(
-    COMMAND "${SPLATBUS_NODE}" -e "require('esbuild')"
-    WORKING_DIRECTORY "${web}"
-    RESULT_VARIABLE result
-    OUTPUT_QUIET ERROR_QUIET)
-  if(NOT result EQUAL 0)
-    message(STATUS "No npm and no esbuild here, so the page is not built")
-    return()
-  endif()
-elseif(NOT EXISTS "${installed}" OR "${web}/package-lock.json" IS_NEWER_THAN "${installed}")
+if(SPLATBUS_NPM AND (NOT EXISTS "${installed}" OR "${web}/package-lock.json" IS_NEWER_THAN "${installed}"))
   message(STATUS "Installing what the page is built with, by npm ci")
   execute_process(
     COMMAND "${SPLATBUS_NPM}" ci --ignore-scripts --no-audit --no-fund --loglevel=error --fetch-retry-maxtimeout=10000
@@ -33,11 +23,20 @@ elseif(NOT EXISTS "${installed}" OR "${web}/package-lock.json" IS_NEWER_THAN "${
     RESULT_VARIABLE result
     OUTPUT_VARIABLE said
     ERROR_VARIABLE said)
-  if(NOT result EQUAL 0)
-    message(STATUS "npm ci failed (${result}), so the page is not built; `cmake ${CMAKE_BINARY_DIR}` tries again. ${said}")
-    return()
+  if(result EQUAL 0)
+    file(TOUCH "${installed}")
+  else()
+    message(STATUS "npm ci failed (${result}); `cmake ${CMAKE_BINARY_DIR}` tries again. ${said}")
   endif()
-  file(TOUCH "${installed}")
+endif()
+execute_process(
+  COMMAND "${SPLATBUS_NODE}" -e "require('esbuild').transformSync('')"
+  WORKING_DIRECTORY "${web}"
+  RESULT_VARIABLE result
+  OUTPUT_QUIET ERROR_QUIET)
+if(NOT result EQUAL 0)
+  message(STATUS "No esbuild here, of npm or of Debian, so the page is not built")
+  return()
 endif()
 
 set(SPLATBUS_WEB "${CMAKE_BINARY_DIR}/share/splatbus/web")

@@ -43,6 +43,7 @@ void LinkedViewer::run(const std::stop_token& stop) {
       const stream::Replica& replica = client_.replica();
       stream::DisplayChanges changes = client_.take_changes();
       const std::scoped_lock lock(mutex_);
+      visibility_.add(changes);
       changes_.append(std::move(changes));
       if (replica.exceeds_whole(changes_)) changes_ = replica.whole();
       arrivals_.insert(arrivals_.end(), taken_.begin(), taken_.end());
@@ -87,15 +88,15 @@ std::vector<Delivery> LinkedViewer::deliveries() const {
 
 std::optional<cv::Mat> LinkedViewer::draw(const Camera& camera, const SceneState& scene) {
   stream::DisplayChanges changes;
+  stream::VisibilityHistory::Turn turn;
   {
     const std::scoped_lock lock(mutex_);
     if (failure_) std::rethrow_exception(failure_);
     std::swap(changes, changes_);
+    turn = visibility_.turn_to(scene.version);
   }
   display_.apply(changes);
-  visibility_.add(changes);
   if (display_.count() == 0) return {};
-  const stream::VisibilityHistory::Turn turn = visibility_.turn_to(scene.version);
   display_.apply(turn.there);
   const GaussiansView view = display_.view(scene.light.sources);
   renderer_->read_in_place(view);

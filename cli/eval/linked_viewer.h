@@ -52,19 +52,19 @@ class LinkedViewer {
  private:
   void run(const std::stop_token& stop);
 
-  viewer::StreamClient client_;           // the thread's own
-  std::vector<Arrival> taken_;            // too
-  std::vector<Delivery> delivered_;       // too
-  double tick_hz_ = 0;                    // too
-  device::Stream stream_{Device::Cpu};    // the caller's
-  stream::DisplayGaussians display_;      // too
-  stream::VisibilityHistory visibility_;  // too
+  viewer::StreamClient client_;         // the thread's own
+  std::vector<Arrival> taken_;          // too
+  std::vector<Delivery> delivered_;     // too
+  double tick_hz_ = 0;                  // too
+  device::Stream stream_{Device::Cpu};  // the caller's
+  stream::DisplayGaussians display_;    // too
   std::unique_ptr<raster::ModelRenderer> renderer_;
   raster::Render render_;
 
   mutable std::mutex mutex_;  // of all below
   std::optional<Camera> camera_;
   stream::DisplayChanges changes_;
+  stream::VisibilityHistory visibility_;  ///< of all that came, changes_ included
   Status status_;
   std::vector<Arrival> arrivals_;
   std::vector<Delivery> deliveries_;

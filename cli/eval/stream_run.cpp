@@ -158,13 +158,13 @@ class StreamRun {
 
   void compare_what_has_come() {
     if (!round_ || round_->settled || shown_ == nullptr) return;
+    for (const auto& [index, probe] : probes_.pictures()) round_->came_ns.try_emplace(index, bus::now_ns());
     for (const auto& [index, probe] : probes_.pictures()) {
       if (round_->pictures.contains(index)) continue;
       std::optional<SceneLights> lights = depths_.find(probe.scene);
       if (!lights && bus::now_ns() - round_->asked_ns < kMapPatienceNs) return;
-      const std::int64_t came_ns = round_->came_ns.try_emplace(index, bus::now_ns()).first->second;
       const bool lit = shown_->status().visibility_version >= probe.scene.version;
-      if (!lit && bus::now_ns() - came_ns < kVisibilityPatienceNs) return;
+      if (!lit && bus::now_ns() - round_->came_ns.at(index) < kVisibilityPatienceNs) return;
       const Compared compared{.probe = probe, .lights = std::move(lights)};
       const auto figures = compare(compared);
       if (!figures) return;

@@ -146,17 +146,21 @@ std::vector<std::string> names_of(const std::vector<std::size_t>& after, const L
   return names;
 }
 
-/// Of `names`, highest first, those that could not be started; one that only waits for others stays. Returns which.
-std::vector<std::string> remove_failed(const Operated& operated, const std::vector<std::string>& names) {
+/// Of `names`, highest first, those that were started and did not stay; one that only waits for others does. Returns
+/// which.
+std::vector<std::string> remove_failed(const Operated& operated, const std::vector<std::string>& names, double wait_s,
+                                       const std::stop_token& stop) {
   std::vector<std::string> failed;
   const Statuses all = operated.supervisor.status();
   for (auto name = names.rbegin(); name != names.rend(); ++name) {
     const auto process = std::ranges::find(all, *name, &ProcessStatus::name);
     if (process == all.end()) continue;
-    if (process->state != ProcessState::Failed && process->state != ProcessState::BackOff) break;
+    const bool ended = process->restarts > 0 || process->state == ProcessState::Failed;
+    if (!ended && process->state != ProcessState::BackOff) break;
     operated.supervisor.remove(*name);
     failed.push_back(*name);
   }
+  wait_for_end(operated, failed, wait_s, stop);
   return failed;
 }
 
@@ -202,7 +206,7 @@ Json scale(Operated& operated, const Json& request, const ControlServer::Tell& t
   try {
     wait_for_running(operated, added, wait_s(request), stop);
   } catch (const std::exception& error) {
-    const std::vector<std::string> failed = remove_failed(operated, added);
+    const std::vector<std::string> failed = remove_failed(operated, added, wait_s(request), stop);
     if (failed.empty()) throw;
     service->replicas = std::max(wanted - static_cast<int>(failed.size()), 1);
     throw std::runtime_error(fmt::format("{}; removed again: {}", error.what(), fmt::join(failed, ", ")));

@@ -5,6 +5,7 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <array>
 #include <chrono>
 #include <iterator>
 #include <nlohmann/json.hpp>
@@ -40,9 +41,10 @@ class SupervisorSwapHost final : public SwapHost {
     const auto beside = status().beside;
     if (!beside) return "it was dropped";
     if (!beside->exit) return std::nullopt;
-    if (std::ranges::any_of(beside->last_lines, names_option)) {
-      return fmt::format("{} cannot stand by beside it; 'splatbus restart {}' starts another at once",
-                         plan_.program.filename().string(), plan_.name);
+    if (const auto line = std::ranges::find_if(beside->last_lines, refuses_successor);
+        line != beside->last_lines.end()) {
+      return fmt::format("{} cannot stand by beside it ({}); 'splatbus restart {}' starts another as it was",
+                         plan_.program.filename().string(), *line, plan_.name);
     }
     const std::string how = beside->exit->text();
     return beside->last_lines.empty() ? how : fmt::format("{}: {}", how, beside->last_lines.back());
@@ -54,8 +56,10 @@ class SupervisorSwapHost final : public SwapHost {
 
  private:
   /// What a program says that does not know the option.
-  [[nodiscard]] static bool names_option(const std::string& line) {
-    return line.find("--successor") != std::string::npos;
+  [[nodiscard]] static bool refuses_successor(const std::string& line) {
+    constexpr std::array kRefusals{"not expected", "unrecognized", "unknown", "invalid", "unexpected"};
+    return line.find("--successor") != std::string::npos &&
+           std::ranges::any_of(kRefusals, [&](const char* word) { return line.find(word) != std::string::npos; });
   }
   [[nodiscard]] ProcessStatus status() const {
     for (ProcessStatus& process : supervisor_.status()) {

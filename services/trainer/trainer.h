@@ -65,7 +65,7 @@ class Trainer {
   /// Goes on with what the one before has left beside the model.
   void adopt_handover();
   /// Leaves it, after all that was published of the model.
-  void hand_over();
+  void hand_over(std::chrono::milliseconds patience = std::chrono::seconds(10));
   void leave_behind();
 
   // Message thread.

@@ -1,3 +1,5 @@
+#include <optional>
+
 #include "device/buffer.h"
 #include "metrics/image_io.h"
 #include "raster/model_renderer.h"
@@ -16,6 +18,7 @@ class RasterPainter final : public Painter {
 
   bool take(Shown& shown) override {
     if (shown.changes.empty()) return false;
+    turn_back();
     display_.apply(shown.changes);
     visibility_.add(shown.changes);
     shown.changes.clear();
@@ -44,28 +47,35 @@ class RasterPainter final : public Painter {
     window.show(draw(scaled(camera, window.settings().resolution), scene));
   }
 
-  std::optional<std::uint64_t> drawn_visibility() const override { return drawn_visibility_; }
+  std::optional<std::uint64_t> drawn_visibility() const override {
+    return turned_ ? std::optional(turned_->version) : std::nullopt;
+  }
 
  private:
+  void turn_back() {
+    if (turned_) display_.apply(turned_->back);
+    turned_.reset();
+  }
   /// With what was seen of the lights when the scene was of that version. Returns whether colours are linear.
   bool render(const Camera& camera, const SceneState& scene) {
-    const stream::VisibilityHistory::Turn turn = visibility_.turn_to(scene.version);
-    drawn_visibility_ = turn.version;
-    display_.apply(turn.there);
+    if (!turned_ || turned_->version != visibility_.nearest(scene.version)) {
+      turn_back();
+      turned_ = visibility_.turn_to(scene.version);
+      display_.apply(turned_->there);
+    }
     const GaussiansView view = display_.view(scene.light.sources);
     // The rows of a probe's lights may be others.
     if (model_changed_ || view.visibility_u8 != drawn_rows_) renderer_->read_in_place(view);
     drawn_rows_ = view.visibility_u8;
     model_changed_ = false;
     renderer_->draw(camera, scene, {}, render_);
-    display_.apply(turn.back);
     return view.layout.appearance == Appearance::Transfer;
   }
 
   device::Stream stream_;
   stream::DisplayGaussians display_;
   stream::VisibilityHistory visibility_;
-  std::uint64_t drawn_visibility_ = 0;
+  std::optional<stream::VisibilityHistory::Turn> turned_;  ///< what display_ shows; nullopt: the newest
   std::unique_ptr<raster::ModelRenderer> renderer_;
   raster::Render render_;
   bool model_changed_ = true;  ///< since the renderer read it

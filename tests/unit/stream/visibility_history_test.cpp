@@ -29,6 +29,7 @@ class VisibilityHistoryTest : public testing::Test {
     std::vector<std::uint32_t> rows(kRows);
     for (std::uint32_t row = 0; row < kRows; ++row) rows[row] = row;
     replace(rows, 255);
+    for (std::uint64_t v = 91; v < 96; ++v) changes_.add(DisplayVisibility{v});  // it is long there
     changes_.add(DisplayBlocks{{{0, kBlockRows}, {1, kBlockRows}, {2, kBlockRows}, {3, kBlockRows}}});
   }
 
@@ -139,6 +140,64 @@ TEST_F(VisibilityHistoryTest, WhoCameSinceStaysAsHeIs) {
   EXPECT_EQ(at(5)[2], then[2]);
 }
 
+TEST_F(VisibilityHistoryTest, WhoCameInShadowIsNeverShownLit) {
+  version(5);
+  take();
+  version(6);
+  replace({2}, 255);  // nobody has looked yet
+  take();
+  version(7);
+  sun({2}, {30});
+  take();
+  version(8);
+  sun({2}, {40});
+  take();
+  for (const std::uint64_t v : {5U, 6U, 7U}) EXPECT_NEAR(at(v)[2] * 255, 30, 1e-3) << v;
+  EXPECT_NEAR(at(8)[2] * 255, 40, 1e-3);
+}
+
+TEST_F(VisibilityHistoryTest, KeepsABoundedNumberOfValues) {
+  version(5);
+  take();
+  version(6);
+  const std::vector<std::uint32_t> rows = {4, 5, 6, 7};
+  const auto many = [&] {
+    for (std::size_t k = 0; k < VisibilityHistory::kMaxValues / rows.size() + 1; ++k) {
+      const auto seen = static_cast<std::int32_t>(k % 200);
+      sun(rows, {seen, seen, seen, seen});
+    }
+    take();
+  };
+  many();
+  EXPECT_EQ(history_.turn_to(5).version, 6U) << "all of it is of one version, and still kept";
+  version(7);
+  sun({4}, {250});
+  take();
+  EXPECT_EQ(history_.turn_to(6).version, 6U) << "it went on no more";
+}
+
+TEST_F(VisibilityHistoryTest, ForgetsWhatWasBeforeOtherLights) {
+  version(5);
+  sun({0}, {10});
+  take();
+  version(6);
+  sun({0}, {20});
+  take();
+  add_lamp();
+  lamp({0}, {77});
+  take();
+  const std::vector<float> now = held();
+  EXPECT_EQ(at(5), now);
+  version(7);
+  lamp({0}, {78});
+  take();
+  EXPECT_EQ(at(6), now);
+  changes_.add(DisplayLights{{}});
+  lamp_ = false;
+  take();
+  EXPECT_EQ(at(6), held());
+}
+
 TEST_F(VisibilityHistoryTest, KeepsABoundedNumberOfVersions) {
   take();
   constexpr std::uint64_t kVersions = 3 * VisibilityHistory::kMaxEntries;
@@ -160,6 +219,7 @@ TEST_F(VisibilityHistoryTest, ForgetsWhatWasBeforeAnotherModel) {
   version(2);
   replace({0}, 90);
   take();
+  EXPECT_EQ(history_.turn_to(1).version, 2U);
   EXPECT_EQ(history_.turn_to(1).there.list().size(), 0U);
 }
 
