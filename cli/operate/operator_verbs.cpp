@@ -152,13 +152,14 @@ std::vector<std::string> remove_failed(const Operated& operated, const std::vect
                                        const std::stop_token& stop) {
   std::vector<std::string> failed;
   const Statuses all = operated.supervisor.status();
-  for (auto name = names.rbegin(); name != names.rend(); ++name) {
-    const auto process = std::ranges::find(all, *name, &ProcessStatus::name);
+  const std::vector<std::string> highest_first(names.rbegin(), names.rend());
+  for (const std::string& name : highest_first) {
+    const auto process = std::ranges::find(all, name, &ProcessStatus::name);
     if (process == all.end()) continue;
     const bool ended = process->restarts > 0 || process->state == ProcessState::Failed;
     if (!ended && process->state != ProcessState::BackOff) break;
-    operated.supervisor.remove(*name);
-    failed.push_back(*name);
+    operated.supervisor.remove(name);
+    failed.push_back(name);
   }
   wait_for_end(operated, failed, wait_s, stop);
   return failed;

@@ -24,7 +24,8 @@ class PageReaders {
 
   /// In pages; half a second's worth at most, so that the manifest of a world of any size can be asked for.
   [[nodiscard]] static double price_of_manifest(std::size_t offered) {
-    return std::min(1 + static_cast<double>(offered / 100), kBurst / 2);
+    const std::size_t hundreds = offered / 100;
+    return std::min(1 + static_cast<double>(hundreds), kBurst / 2);
   }
 
   /// Whether this peer is given `pages` (or as much of a manifest) now. Who asks for nothing is given nothing.

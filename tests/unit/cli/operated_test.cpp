@@ -21,6 +21,10 @@ using testing::AllOf;
 using testing::ElementsAre;
 using testing::HasSubstr;
 
+void touch(const std::string& file) {
+  const std::ofstream made(file);
+}
+
 /// A launch file under a supervisor that answers.
 class OperatedTest : public SupervisorTest {
  protected:
@@ -80,7 +84,7 @@ TEST_F(OperatedTest, AReplicaWaitsForWhatItsServiceWaitsFor) {
   static_cast<void>(ask({{"verb", "stop"}, {"services", {"probe"}}}));
   EXPECT_THAT(refusal({{"verb", "scale"}, {"service", "probe"}, {"replicas", 2}, {"wait_s", 0.3}}),
               HasSubstr("probe-2 is waiting"));
-  std::ofstream{gate};
+  touch(gate);
   EXPECT_TRUE(wait_for_state("probe-2", ProcessState::Running)) << "the gateway is ready, and nothing else counts";
   EXPECT_EQ(status("probe").state, ProcessState::Stopped);
 }
@@ -92,7 +96,7 @@ TEST_F(OperatedTest, AReplicaWaitsForAFirstOneOfAnOlderName) {
   EXPECT_THAT(refusal({{"verb", "scale"}, {"service", "gateway"}, {"replicas", 2}, {"wait_s", 0}}),
               HasSubstr("gateway-2 is "));
   static_cast<void>(ask({{"verb", "stop"}, {"services", {"gateway"}}}));
-  std::ofstream{gate};
+  touch(gate);
   ASSERT_TRUE(wait_for_state("gateway-2", ProcessState::Running));
   EXPECT_THAT(refusal({{"verb", "scale"}, {"service", "probe"}, {"replicas", 2}, {"wait_s", 0.3}}),
               HasSubstr("probe-2 is waiting"));
@@ -102,7 +106,7 @@ TEST_F(OperatedTest, AReplicaWaitsForAFirstOneOfAnOlderName) {
 
 TEST_F(OperatedTest, ScaleAfterScaleLeavesNoGhost) {
   const std::string gate = folder_ + "/gate";
-  std::ofstream{gate};
+  touch(gate);
   up(with_gate(gate));
   static_cast<void>(scale("streamer", 3));
   static_cast<void>(scale("probe", 2));
@@ -118,7 +122,7 @@ TEST_F(OperatedTest, ReplicasThatCannotBeStartedAreNotLeftBehind) {
      " || exit 3; sleep 1000'], heartbeat_timeout_s: 0,\n"
      "     restart: {policy: on-failure, max_attempts: 2}, readiness: {command: [sleep, '0.2'], period_s: 0.05}}\n");
   static_cast<void>(scale("streamer", 2));
-  std::ofstream{broken};
+  touch(broken);
   EXPECT_THAT(refusal({{"verb", "scale"}, {"service", "streamer"}, {"replicas", 4}, {"wait_s", 60}}),
               AllOf(HasSubstr("streamer-3 is "), HasSubstr("removed again: streamer-4, streamer-3")));
   EXPECT_THAT(names(), ElementsAre("streamer", "streamer-2"));

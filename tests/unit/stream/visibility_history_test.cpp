@@ -71,8 +71,9 @@ class VisibilityHistoryTest : public testing::Test {
   [[nodiscard]] std::vector<float> held() const {
     const GaussiansView view = display_.view();
     std::vector<float> held(view.visibility, view.visibility + kRows);
-    for (std::uint32_t row = 0; lamp_ && row < 2 * kRows; ++row) {
-      held.push_back(view.visibility_u8[row / kRows * view.visibility_stride + row % kRows]);
+    for (std::uint32_t light = 0; lamp_ && light < 2; ++light) {
+      const std::uint8_t* const seen = view.visibility_u8 + light * view.visibility_stride;
+      held.insert(held.end(), seen, seen + kRows);
     }
     return held;
   }
