@@ -120,7 +120,8 @@ TEST_F(OperatedTest, ReplicasThatCannotBeStartedAreNotLeftBehind) {
   const std::string broken = folder_ + "/broken";
   up("services:\n  - {name: streamer, program: /bin/sh, args: ['-c', 'test ! -e " + broken +
      " || exit 3; sleep 1000'], heartbeat_timeout_s: 0,\n"
-     "     restart: {policy: on-failure, max_attempts: 2}, readiness: {command: [sleep, '0.2'], period_s: 0.05}}\n");
+     "     restart: {policy: on-failure, max_attempts: 2}, readiness: {command: [test, '!', -e, '" +
+     broken + "'], period_s: 0.05}}\n");
   static_cast<void>(scale("streamer", 2));
   touch(broken);
   EXPECT_THAT(refusal({{"verb", "scale"}, {"service", "streamer"}, {"replicas", 4}, {"wait_s", 60}}),
