@@ -141,9 +141,18 @@ void PaceKeeper::hold(std::uint64_t log_time, const std::stop_token& stop) {
   }
   if (log_time < slice_end_) return;
   slice_end_ = log_time + kSliceNs;
-  // 0 would let it run for ever.
-  set("control/trainer", {{"run_until", static_cast<double>(std::max<std::uint64_t>(1, pace_.step_at(slice_end_)))}});
+  run_until(pace_.step_at(slice_end_));
   wait_for_step(pace_.step_at(log_time), stop);
+}
+
+void PaceKeeper::finish(const std::stop_token& stop) {
+  run_until(recorded_steps());
+  wait_for_step(recorded_steps(), stop);
+}
+
+void PaceKeeper::run_until(std::uint64_t step) {
+  // 0 would let it run for ever.
+  set("control/trainer", {{"run_until", static_cast<double>(std::max<std::uint64_t>(1, step))}});
 }
 
 void PaceKeeper::wait_for_step(std::uint64_t step, const std::stop_token& stop) {

@@ -44,6 +44,8 @@ class PaceKeeper {
 
   /// Called before what was recorded at that time is played; returns once the trainer is as far as it was then.
   void hold(std::uint64_t log_time, const std::stop_token& stop);
+  /// Called after the last of it was played; returns once the trainer has taken the steps that were recorded later.
+  void finish(const std::stop_token& stop);
 
   [[nodiscard]] bool known() const { return !pace_.empty(); }
   [[nodiscard]] std::uint64_t recorded_steps() const { return known() ? pace_.moments().back().step : 0; }
@@ -54,6 +56,7 @@ class PaceKeeper {
   void find_expander(const std::stop_token& stop);
   void pace_expander(double steps_per_s);
   void pace_average(const PaceMoment& moment);
+  void run_until(std::uint64_t step);
   void wait_for_step(std::uint64_t step, const std::stop_token& stop);
   void set(const char* topic, const std::vector<std::pair<const char*, double>>& values);
 

@@ -86,6 +86,7 @@ class Replay {
           }
           Player of_engine(reader_, folder_.address(), play);
           played = of_engine.run(stop, [](const PlayState&) {});
+          if (paced) pace.finish(stop);
         } catch (const std::exception& error) {
           failure = error.what();
         }
@@ -99,6 +100,8 @@ class Replay {
       }
     }
     if (!failure.empty()) throw std::runtime_error(failure);
+    // What the pace has heard the watch may not have heard yet.
+    while (paced && pace.given_up() == 0 && watch_.state().trainer.step < pace.recorded_steps()) step(signals);
     if (figures_.empty()) throw std::runtime_error("no capture/probe in the recording could be compared");
     const FigureSummary summary = summarize(last_round(figures_));
     const auto& trainer = watch_.state().trainer;

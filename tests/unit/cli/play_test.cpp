@@ -10,7 +10,9 @@
 #include "player.h"
 #include "recorded_pace.h"
 #include "recording_file.h"
+#include "wire/model_generated.h"
 #include "wire/scene_generated.h"
+#include "wire/system_generated.h"
 
 namespace splatbus::cli {
 namespace {
@@ -153,6 +155,54 @@ TEST(RecordedPaceTest, StepsAreSpreadEvenlyBetweenTwoMoments) {
                                                                       {2000, 12}, {2500, 12}, {9000, 12}};
   for (const auto& [log_time, step] : expected) EXPECT_EQ(pace.step_at(log_time), step) << log_time;
   EXPECT_TRUE(RecordedPace(std::vector<PaceMoment>{}).empty());
+}
+
+/// Says the steps of a trainer that is at once as far as it may go, and the parameters of an expander.
+class TrainerInStead {
+ public:
+  explicit TrainerInStead(const std::shared_ptr<bus::Context>& context) : publisher_(context), subscriber_(context) {
+    subscriber_.on(topics::control("control/trainer"), [this](const wire::Control& control, const bus::Message&) {
+      for (const wire::KeyValue* change : *control.changes()) {
+        if (change->key()->string_view() == "run_until") step_ = std::stoull(change->value()->str());
+      }
+    });
+    EXPECT_TRUE(subscriber_.wait_connected(patience));
+  }
+  void speak() {
+    subscriber_.dispatch_all(std::chrono::milliseconds(1));
+    publisher_.publish(topics::kTrainerStats,
+                       [&](auto& builder, auto header) { return wire::CreateTrainerStats(builder, header, step_); });
+    publisher_.publish(topics::kHeartbeat, [&](auto& builder, auto header) {
+      const std::vector parameters{wire::CreateKeyValueDirect(builder, "fill_distance", "1"),
+                                   wire::CreateKeyValueDirect(builder, "fill_steps_per_s", "0")};
+      return wire::CreateHeartbeatDirect(builder, header, "expander", 0, wire::ServiceState::Running, nullptr, nullptr,
+                                         &parameters);
+    });
+  }
+  [[nodiscard]] std::uint64_t step() const { return step_; }
+
+ private:
+  bus::Publisher publisher_;
+  bus::Subscriber subscriber_;
+  std::uint64_t step_ = 0;
+};
+
+// The recorder hears of the trainer for longer than of the engine.
+TEST_F(PlayTest, ATrainerTakesTheStepsThatWereRecordedAfterTheLastThingPlayed) {
+  TrainerInStead trainer(connect("trainer"));
+  PaceKeeper pace(connect("pace"), RecordedPace(std::vector<PaceMoment>{{.log_time = 1 * kSecond, .step = 2},
+                                                                        {.log_time = 11 * kSecond, .step = 102}}));
+  auto playing = std::async(std::launch::async, [&] {
+    pace.hold(1 * kSecond, {});
+    pace.hold(6 * kSecond, {});
+    pace.finish({});
+  });
+  EXPECT_TRUE(eventually([&] {
+    trainer.speak();
+    return playing.wait_for(std::chrono::seconds(0)) == std::future_status::ready;
+  }));
+  EXPECT_EQ(trainer.step(), 102U);
+  EXPECT_EQ(pace.given_up(), 0U);
 }
 
 }  // namespace
