@@ -124,8 +124,8 @@ endfunction()
 # compiled once. Tests are joined as CMAKE_UNITY_BUILD_BATCH_SIZE says: theirs take much more memory.
 set(SPLATBUS_UNITY_BATCH_OF_A_LIBRARY "" CACHE STRING "Sources of a library in a unit; empty: as of everything")
 
-# splatbus_alone(SOURCE...): kernels among these are compiled one by one, by versions of CMake too that would join them: what
-# nvcc compiles takes long, and is worth all cores.
+# splatbus_alone(SOURCE...): kernels among these are compiled one by one, by versions of CMake too that would join them: their
+# names are their own, and what nvcc compiles takes long, and is worth all cores.
 function(splatbus_alone)
   set(kernels ${ARGN})
   list(FILTER kernels INCLUDE REGEX "\\.cu$")
@@ -181,11 +181,21 @@ endfunction()
 # with CUDA nvcc compiles them for the host and the device, in one without they are C++. Neither fuses multiplications
 # with additions, so that both devices round alike.
 function(splatbus_single_source target)
-  target_sources(${target} PRIVATE ${ARGN})
+  set(sources ${ARGN})
+  list(LENGTH sources count)
+  if(SPLATBUS_WITH_CUDA AND CMAKE_UNITY_BUILD AND count GREATER 1)
+    # nvcc needs as long to read Thrust as to compile eight of them.
+    list(TRANSFORM sources REPLACE "(.+)" "#include \"${CMAKE_CURRENT_SOURCE_DIR}/\\1\"" OUTPUT_VARIABLE includes)
+    list(JOIN includes "\n" includes)
+    set(joined "${CMAKE_CURRENT_BINARY_DIR}/${target}_joined.cu")
+    file(CONFIGURE OUTPUT "${joined}" CONTENT "${includes}\n" @ONLY)
+    set(sources "${joined}")
+  endif()
+  target_sources(${target} PRIVATE ${sources})
   target_link_libraries(${target} PUBLIC splatbus_device)
   if(SPLATBUS_WITH_CUDA)
-    splatbus_alone(${ARGN})
-    set_source_files_properties(${ARGN} PROPERTIES COMPILE_OPTIONS "--fmad=false;-Xcompiler=-ffp-contract=off")
+    splatbus_alone(${sources})
+    set_source_files_properties(${sources} PROPERTIES COMPILE_OPTIONS "--fmad=false;-Xcompiler=-ffp-contract=off")
     target_compile_options(${target}
                            PRIVATE $<$<COMPILE_LANGUAGE:CUDA>:--expt-relaxed-constexpr -Xcompiler=-Wall,-Wextra>)
   else()

@@ -85,4 +85,12 @@ class Buffer {
   std::size_t size_ = 0, capacity_ = 0;
 };
 
+/// A copy of the host's values where the stream runs, enqueued.
+template <class T>
+[[nodiscard]] Buffer<T> uploaded(StreamView stream, std::span<const T> values) {
+  Buffer<T> buffer(stream);
+  buffer.assign(values);
+  return buffer;
+}
+
 }  // namespace splatbus::device

@@ -229,13 +229,6 @@ struct MarkBroken {
   }
 };
 
-template <class T>
-Buffer<T> uploaded(StreamView stream, std::span<const T> values) {
-  Buffer<T> buffer(stream);
-  buffer.assign(values);
-  return buffer;
-}
-
 /// run(pages) for some at a time, so that an item's number fits.
 template <class Run>
 void by_lane(StreamView stream, std::span<const LaneRange> pages, Run&& run) {

@@ -223,13 +223,6 @@ struct ListLaneMove {
   }
 };
 
-template <class T>
-Buffer<T> uploaded(StreamView stream, std::span<const T> values) {
-  Buffer<T> buffer(stream);
-  buffer.assign(values);
-  return buffer;
-}
-
 }  // namespace
 
 void list_rows(StreamView stream, const InsertRows& rows, std::uint32_t count, std::uint64_t first_id, Item* items) {

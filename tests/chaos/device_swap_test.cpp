@@ -3,7 +3,6 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <cstdio>
 #include <memory>
@@ -25,29 +24,16 @@ constexpr double kSteady = 0.002, kLoss = 0.005, kLossS = 1;
 
 using Samples = std::span<const PipelineUnderFire::Sample>;
 
-/// Each view's newest picture, as one figure.
-class Level {
- public:
-  double take(const PipelineUnderFire::Sample& sample) {
-    ssim_.at(sample.view) = sample.ssim;
-    return std::accumulate(ssim_.begin(), ssim_.end(), 0.0) / kViews;
-  }
-  [[nodiscard]] bool whole() const { return std::ranges::count(ssim_, 0.0) == 0; }
-
- private:
-  std::array<double, kViews> ssim_{};
-};
-
 /// How far it fell below what it was before, and for how long by more than kLoss, in seconds, as far as samples tell.
 struct Drop {
   double depth = 0, time_s = 0;
 };
 
-Drop drop_of(Samples samples, double before, Level level) {
+Drop drop_of(Samples samples, double before) {
   Drop drop;
   std::int64_t since_ns = 0;  // of the first that is lower; 0: none is
   for (const auto& sample : samples) {
-    const double depth = before - level.take(sample);
+    const double depth = before - sample.level;
     drop.depth = std::max(drop.depth, depth);
     if (depth <= kLoss) {
       since_ns = 0;
@@ -87,15 +73,10 @@ class DeviceSwap : public OperatedPipeline, public testing::WithParamInterface<W
   double ssim_of_the_next(std::size_t count) {
     const std::size_t first = pipeline_->samples().size();
     EXPECT_TRUE(pipeline_->wait_until([&] { return pipeline_->samples().size() >= first + count; }));
-    double sum = 0;
-    std::size_t levels = 0;
-    for (const auto& sample : samples_since(first)) {
-      const double level = level_.take(sample);
-      if (!level_.whole()) continue;
-      sum += level;
-      ++levels;
-    }
-    return sum / static_cast<double>(levels);
+    const Samples samples = samples_since(first);
+    return std::accumulate(samples.begin(), samples.end(), 0.0,
+                           [](double sum, const auto& sample) { return sum + sample.level; }) /
+           static_cast<double>(samples.size());
   }
   /// Until training changes it by no more than it does all the time.
   double ssim_at_rest() {
@@ -106,8 +87,6 @@ class DeviceSwap : public OperatedPipeline, public testing::WithParamInterface<W
     }
     return now;
   }
-
-  Level level_;
 };
 
 TEST_P(DeviceSwap, KeepsPictureAndGaussians) {
@@ -122,14 +101,13 @@ TEST_P(DeviceSwap, KeepsPictureAndGaussians) {
   for (const std::string& backend : std::span(backends).subspan(1)) {
     SCOPED_TRACE("swapped to " + backend);
     const std::size_t first = pipeline_->samples().size();
-    const Level level = level_;
     ASSERT_NO_FATAL_FAILURE(swap("trainer", {"--backend", backend}));
     EXPECT_EQ(pipeline_->heard("trainer").backend, backend);
     EXPECT_TRUE(pipeline_->wait_until([&] { return pipeline_->heard("trainer").counters.contains("handed_over"); }));
     EXPECT_EQ(pipeline_->heard("trainer").counters.at("handed_over"), static_cast<double>(ids.size()))
         << "each with its moments and age";
     const double after = ssim_of_the_next(kSamples);
-    const Drop drop = drop_of(samples_since(first), before, level);
+    const Drop drop = drop_of(samples_since(first), before);
     std::printf("%s: SSIM %.4f before, %.4f after; at most %.4f lower, %.2f s by more than %g\n", backend.c_str(),
                 before, after, drop.depth, drop.time_s, kLoss);
     EXPECT_LE(drop.time_s, kLossS);

@@ -27,6 +27,12 @@ const std::vector<std::string>& services() {
   return all;
 }
 
+double mean(const std::map<std::size_t, double>& of_view) {
+  double sum = 0;
+  for (const auto& [view, value] : of_view) sum += value;
+  return sum / static_cast<double>(of_view.size());
+}
+
 }  // namespace
 
 PipelineUnderFire::PipelineUnderFire() : PipelineUnderFire(cli::Pipeline::launch_file()) {}
@@ -102,7 +108,8 @@ void PipelineUnderFire::take_sample() {
   const auto& pictures = state().viewer_quality;
   for (auto picture = pictures.upper_bound(newest_sample_); picture != pictures.end(); ++picture) {
     newest_sample_ = picture->first;
-    samples_.push_back({now, picture->second.ssim, probes_->camera_of(picture->first).value_or(0)});
+    newest_ssim_[probes_->camera_of(picture->first).value_or(0)] = picture->second.ssim;
+    samples_.push_back({now, picture->second.ssim, mean(newest_ssim_)});
   }
   if (now - sampled_ns_ < kSamplePeriodNs) return;
   sampled_ns_ = now;
@@ -161,9 +168,13 @@ bool PipelineUnderFire::wait_until_well(double ssim, const std::map<std::string,
   std::uint64_t first_id = 0;
   return wait_until([&] {
     if (!all_alive(killed)) return false;
+    std::map<std::size_t, double> newest;
     for (const auto& [probe_id, quality] : state().viewer_quality) {
-      if (first_id == 0 || probe_id < first_id || quality.ssim < ssim) continue;
-      ssim_ = quality.ssim;
+      if (first_id == 0 || probe_id < first_id) continue;
+      if (const auto view = probes_->camera_of(probe_id)) newest[*view] = quality.ssim;
+    }
+    if (newest.size() == probes_->cameras().size() && mean(newest) >= ssim) {
+      ssim_ = mean(newest);
       return true;
     }
     if (bus::now_ns() - asked_ns > kAskAgainNs) {

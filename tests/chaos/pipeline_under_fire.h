@@ -39,8 +39,9 @@ class PipelineUnderFire {
   /// After the supervisor was killed: waits until nobody of it is left, and starts it again.
   [[nodiscard]] bool start_again();
 
-  /// Every service is alive, those of `killed` as other processes, and a picture that was asked for from now on has
-  /// come back to the viewer with that SSIM. False after a patience that is long.
+  /// Every service is alive, those of `killed` as other processes, and of each held-out view a picture that was asked
+  /// for from now on has come back to the viewer; the newest have that SSIM in the mean. False after a patience that is
+  /// long.
   [[nodiscard]] bool wait_until_well(double ssim, const std::map<std::string, pid_t>& killed);
   [[nodiscard]] bool wait_until(const std::function<bool()>& condition);
   /// Polls meanwhile.
@@ -64,13 +65,13 @@ class PipelineUnderFire {
   struct Sample {
     std::int64_t time_ns = 0;  ///< when the answer came
     double ssim = 0;
-    std::size_t view = 0;
+    double level = 0;  ///< mean of each view's newest, of those that have one
   };
   [[nodiscard]] const std::vector<Sample>& samples() const { return samples_; }
 
   [[nodiscard]] Usage usage() const;
   [[nodiscard]] const cli::PipelineState& state() const { return watch_->state(); }
-  /// Of the last picture of wait_until_well().
+  /// Of the last pictures of wait_until_well().
   [[nodiscard]] double ssim() const { return ssim_; }
   /// Ids of the model as it is now; nullopt when none could be had.
   [[nodiscard]] std::optional<std::vector<std::uint64_t>> gaussian_ids();
@@ -106,6 +107,7 @@ class PipelineUnderFire {
   bool sampling_ = false;
   std::int64_t sampled_ns_ = 0;
   std::uint64_t newest_sample_ = 0;  ///< probe
+  std::map<std::size_t, double> newest_ssim_;  ///< by view
   std::vector<Sample> samples_;
   std::size_t log_bytes_ = 0;
   std::vector<std::string> last_lines_;
