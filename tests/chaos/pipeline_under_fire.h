@@ -106,7 +106,7 @@ class PipelineUnderFire {
   double slabs_ = 0, ssim_ = 0;
   bool sampling_ = false;
   std::int64_t sampled_ns_ = 0;
-  std::uint64_t newest_sample_ = 0;  ///< probe
+  std::uint64_t newest_sample_ = 0;            ///< probe
   std::map<std::size_t, double> newest_ssim_;  ///< by view
   std::vector<Sample> samples_;
   std::size_t log_bytes_ = 0;

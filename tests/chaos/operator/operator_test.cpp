@@ -142,8 +142,8 @@ class OperatorChaos : public testing::Test {
   }
 
   cli::PrivateBusFolder folder_;
-  /// As many as stand around the scene in equal parts: the input cameras follow a viewer who orbits, and what he sees gets
-  /// better while what he does not gets worse.
+  /// As many as stand around the scene in equal parts: the input cameras follow a viewer who orbits, and what he sees
+  /// gets better while what he does not gets worse.
   static constexpr int kViews = 4;
   PipelineUnderFire pipeline_{launch_file(folder_.path()), kViews};
   std::size_t log_bytes_ = 0;
@@ -188,7 +188,8 @@ TEST_F(OperatorChaos, ThePictureComesBackAndNothingIsLeftBehind) {
   }
   EXPECT_GT(faults, 0);
   for (const auto& sample : pipeline_.samples()) {
-    samples << static_cast<double>(sample.time_ns - pipeline_.samples()[0].time_ns) * 1e-9 << " " << sample.level << "\n";
+    samples << static_cast<double>(sample.time_ns - pipeline_.samples()[0].time_ns) * 1e-9 << " " << sample.level
+            << "\n";
   }
   std::printf("%d faults, slowest recovery %.1f s\n", faults, slowest_s);
   for (const char* one : {"streamer=1", "relight=1"}) {
