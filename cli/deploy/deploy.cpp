@@ -140,8 +140,9 @@ void add_deploy_formats(CLI::App& verb, Action& action) {
 
 void add_health_verb(CLI::App& app, Action& action) {
   auto options = std::make_shared<HealthOptions>();
-  CLI::App* verb = app.add_subcommand("health", "Whether a service is alive: exit status 0, else 1. For probes");
-  CLI::Option* const name = verb->add_option("name", options->source, "of a service on the bus; none: the bus itself");
+  CLI::App* verb = app.add_subcommand(
+      "health", "Check that a service is alive: exits with 0 if so, else with 1; for liveness and readiness probes");
+  CLI::Option* const name = verb->add_option("name", options->source, "service on the bus; without it the bus itself");
   CLI::Option* const tcp =
       verb->add_option("--tcp", options->tcp, "HOST:PORT: whether somebody listens there")->excludes(name);
   verb->add_option("--http", options->http, "http:// URL: whether that answers with a status of 200 to 399")

@@ -43,7 +43,7 @@ Check check_page(const fs::path& program_folder) {
   if (::access(page.c_str(), R_OK) == 0) return {"page", Verdict::Ok, page.parent_path().string(), {}};
   return {"page", Verdict::Warn,
           fmt::format("{} is not there: the gateway has nothing to show in a browser", page.string()),
-          "build it with './splatbus build', which needs node, npm and emscripten, or install the package"};
+          "build it with './splatbus build', which needs emscripten, and npm or esbuild, or install the package"};
 }
 
 }  // namespace splatbus::cli

@@ -34,12 +34,12 @@ std::string ssim_text(const std::optional<double>& ssim) {
   return ssim ? fmt::format("{:.3f}", *ssim) : "-";
 }
 
+/// A terminal of 80 columns cuts the last figure off.
 std::string live_line(const DemoState& state) {
   return fmt::format(
-      "{:4.0f} s  {}/{} services  {:.1f} pictures/s  {} Gaussians  {:.1f} steps/s  SSIM server {} viewer {}  {:.2f} "
-      "Mbit/s",
-      state.elapsed_s, state.running, state.services, state.pictures_per_s, state.gaussians, state.steps_per_s,
-      ssim_text(state.ssim_server), ssim_text(state.ssim_viewer), state.wire_mbps);
+      "{:3.0f} s  {}/{} up  {} Gaussians  SSIM {}, viewer {}  {:.0f} steps/s  {:.1f} Mbit/s  {:.1f} pictures/s",
+      state.elapsed_s, state.running, state.services, state.gaussians, ssim_text(state.ssim_server),
+      ssim_text(state.ssim_viewer), state.steps_per_s, state.wire_mbps, state.pictures_per_s);
 }
 
 nlohmann::json to_json(const DemoState& state) {

@@ -3,6 +3,7 @@
 #include <stdexcept>
 #include <utility>
 
+#include "control_request.h"
 #include "operator_verbs.h"
 #include "swap_verb.h"
 #include "verbs.h"
@@ -18,13 +19,21 @@ PrivatePipeline::PrivatePipeline(const StopSignals& signals, std::filesystem::pa
       watch_(context_),
       live_(context_) {}
 
+PrivatePipeline::~PrivatePipeline() {
+  if (control_) control_->stop();  // its verbs refer to what goes before it
+}
+
 void PrivatePipeline::start(const LaunchPlan& plan, const LaunchFile& file) {
   control_.emplace(address_);
-  start(plan);
+  logs_.emplace(logs_folder_.path());
+  run_.emplace(plan, log_, [this](const OutputLine& line) {
+    logs_->write(line);
+    control_->publish_line(event_json(line));
+  });
   const auto operated = std::make_shared<Operated>(Operated{.supervisor = run_->supervisor(),
                                                             .file = file,
                                                             .bus = address_,
-                                                            .log_folder = {},
+                                                            .log_folder = logs_folder_.path().string(),
                                                             .stop = [down = down_]() mutable { down.request_stop(); }});
   add_operator_verbs(*control_, operated);
   add_swap_handler(*control_, operated);

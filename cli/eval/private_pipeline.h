@@ -8,6 +8,7 @@
 
 #include "bus/context.h"
 #include "control_server.h"
+#include "log_store.h"
 #include "model/live_scene.h"
 #include "pipeline_watch.h"
 #include "supervised_run.h"
@@ -21,6 +22,9 @@ class PrivatePipeline {
   /// Nothing runs yet: whoever is not to miss the first messages subscribes before start(). `signals` lives longer.
   PrivatePipeline(const StopSignals& signals, std::filesystem::path log,
                   const std::optional<bus::Address>& elsewhere = {});
+  ~PrivatePipeline();
+  PrivatePipeline(const PrivatePipeline&) = delete;
+  PrivatePipeline& operator=(const PrivatePipeline&) = delete;
 
   [[nodiscard]] const bus::Address& address() const { return address_; }
   [[nodiscard]] const std::filesystem::path& folder() const { return folder_.path(); }  ///< goes with this
@@ -29,7 +33,8 @@ class PrivatePipeline {
 
   /// Once.
   void start(const LaunchPlan& plan) { run_.emplace(plan, log_); }
-  /// The same, and the operator's verbs (status, swap, down ...) are answered on this bus. `file` is what was planned.
+  /// The same, and the operator's verbs (status, swap, logs, down ...) are answered on this bus. `file` is what was
+  /// planned.
   void start(const LaunchPlan& plan, const LaunchFile& file);
   /// Takes in what has come, and waits for it up to `timeout`. Throws std::runtime_error when a service has failed for
   /// good, or the user interrupts.
@@ -46,14 +51,15 @@ class PrivatePipeline {
  private:
   const StopSignals& signals_;
   std::filesystem::path log_;
-  PrivateBusFolder folder_;
+  PrivateBusFolder folder_, logs_folder_;
   bus::Address address_;
   std::shared_ptr<bus::Context> context_;
   PipelineWatch watch_;
   LiveScene live_;
-  std::optional<SupervisedRun> run_;
   std::stop_source down_;  ///< as an operator asks
   std::optional<ControlServer> control_;
+  std::optional<LogStore> logs_;
+  std::optional<SupervisedRun> run_;  ///< writes to those above
 };
 
 }  // namespace splatbus::cli

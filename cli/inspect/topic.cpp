@@ -70,7 +70,8 @@ void add_topic_verb(CLI::App& app, Action& action) {
   auto dot = std::make_shared<bool>(false);
   CLI::App* graph_verb = app.add_subcommand("graph", "Show who publishes and who reads each topic");
   graph_verb->add_option("topic", graph_options->topics, kTopics);
-  graph_verb->add_flag("--dot", *dot, "print the graph in the DOT language of Graphviz");
+  CLI::Option* const as_dot = graph_verb->add_flag("--dot", *dot, "print the graph in the DOT language of Graphviz");
+  graph_verb->add_flag("--json", graph_options->json, "one JSON object a line")->excludes(as_dot);
   add_bus_option(*graph_verb, graph_options->bus);
   graph_verb->callback(
       [graph_options, dot, &action] { action = [graph_options, dot] { return graph_topics(*graph_options, *dot); }; });

@@ -58,7 +58,15 @@ std::string graph_text(const TopicOptions& options, const TopicSnapshot& now, bo
 }
 
 int graph_topics(const TopicOptions& options, bool dot) {
-  fmt::print("{}", graph_text(options, topics_now(options.bus), dot));
+  const TopicSnapshot now = topics_now(options.bus);
+  if (!options.json) {
+    fmt::print("{}", graph_text(options, now, dot));
+    return 0;
+  }
+  for (const auto& [topic, seen] : now.topics) {
+    if (!is_asked_for(options, topic)) continue;
+    print(json_text({{"topic", topic}, {"publishers", seen.sources}, {"subscribers", seen.subscribers}}));
+  }
   return 0;
 }
 

@@ -123,7 +123,7 @@ int trace(const TraceOptions& options) {
   const auto context = connect_here(options);
   require_writable(options.out);
   Collected collected = collect(options, context, signals);
-  if (collected.spans.empty()) throw std::runtime_error("no process has said what it did, so there is no trace");
+  if (collected.spans.empty()) throw std::runtime_error("nothing was traced: no process reported its work");
   assign_frames(collected.spans);
   std::ofstream file(options.out, std::ios::trunc);
   file << json_text(trace_events(collected.spans)) << '\n';

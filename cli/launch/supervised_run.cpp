@@ -32,9 +32,11 @@ bus::Address PrivateBusFolder::address() const {
   return bus::Address::parse("ipc://" + path_.string());
 }
 
-SupervisedRun::SupervisedRun(LaunchPlan plan, const std::filesystem::path& log)
+SupervisedRun::SupervisedRun(LaunchPlan plan, const std::filesystem::path& log,
+                             std::function<void(const OutputLine&)> pass)
     : log_path_(log),
       log_(log),
+      pass_(std::move(pass)),
       supervisor_(std::move(plan), [this](const OutputLine& line) { log_line(line); }),
       thread_([this] { supervisor_.run(stop_.get_token(), kill_.get_token()); }) {}
 
@@ -67,6 +69,7 @@ void SupervisedRun::stop() {
 }
 
 void SupervisedRun::log_line(const OutputLine& line) {
+  if (pass_) pass_(line);
   const std::scoped_lock lock(mutex_);
   log_ << line.process << (line.event.empty() ? " | " : " * ") << line.text << std::endl;
   auto& lines = last_lines_[line.process];

@@ -4,6 +4,7 @@
 #include <deque>
 #include <filesystem>
 #include <fstream>
+#include <functional>
 #include <map>
 #include <mutex>
 #include <optional>
@@ -34,8 +35,8 @@ class PrivateBusFolder {
 /// log file, if to any.
 class SupervisedRun {
  public:
-  /// Starts. `log` may be empty.
-  SupervisedRun(LaunchPlan plan, const std::filesystem::path& log);
+  /// Starts. `log` may be empty; `pass` is given every line too, by the supervisor's thread.
+  SupervisedRun(LaunchPlan plan, const std::filesystem::path& log, std::function<void(const OutputLine&)> pass = {});
   ~SupervisedRun();  ///< stops every process and waits for it
   SupervisedRun(const SupervisedRun&) = delete;
   SupervisedRun& operator=(const SupervisedRun&) = delete;
@@ -57,6 +58,7 @@ class SupervisedRun {
   mutable std::mutex mutex_;
   std::ofstream log_;
   std::map<std::string, std::deque<std::string>> last_lines_;
+  const std::function<void(const OutputLine&)> pass_;
   Supervisor supervisor_;
   std::stop_source stop_, kill_;
   std::jthread thread_;

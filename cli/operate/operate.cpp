@@ -165,9 +165,6 @@ class AskedForLogs {
 
 int logs(const OperateOptions& options) {
   const bus::Address bus = bus_address(options.bus);
-  const auto folder = log_folder(bus);
-  const auto logged = logged_processes(folder);
-  if (logged.empty()) throw NoSupervisor(bus);
   std::optional<Json> running;
   std::optional<LineSocket> supervisor;
   try {
@@ -179,6 +176,13 @@ int logs(const OperateOptions& options) {
   } catch (const SupervisorSilent&) {  // the files are there all the same
     if (options.follow) throw;
   }
+  std::filesystem::path folder = log_folder(bus);
+  // A demo's are elsewhere, and go with it.
+  const std::string told = running ? running->at("supervisor").value("log_folder", "") : "";
+  if (!told.empty()) folder = told;
+  const auto logged = logged_processes(folder);
+  if (logged.empty() && running) throw std::runtime_error(fmt::format("no log files are kept of {}", bus.text()));
+  if (logged.empty()) throw NoSupervisor(bus);
   const AskedForLogs asked(options.services, running);
   asked.require_each(logged);
   std::vector<std::string> names;

@@ -72,7 +72,9 @@ Launch files that come with the programs.
 .I ~/.config/splatbus/service.env
 What the user service splatbus.service launches: SPLATBUS_LAUNCH=FILE.
 .SH EXIT STATUS
-0 when it did what was asked, 1 when it failed, 2 when the command line is wrong.
+0 when it did what was asked, 1 when it failed, 2 when the command line is wrong. A service: 78 when what it was
+configured with cannot work, so that starting it again would not help; 128 and the number of the signal that ended it, where a
+supervisor runs it.
 )";
   return page;
 }

@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <CLI/CLI.hpp>
+#include <algorithm>
 #include <charconv>
 #include <cstdio>
 #include <cstdlib>
@@ -41,6 +42,10 @@ const CLI::Option* find_option(const CLI::App& app, const std::string& name) {
   return nullptr;
 }
 
+bool takes_words(const CLI::App& app) {
+  return std::ranges::any_of(app.get_options(), [](const CLI::Option* option) { return option->get_positional(); });
+}
+
 /// The first word that is no verb or option where it stands, in a message; empty when all of them are.
 std::string unknown_word(const CLI::App& app, int argc, const char* const* argv) {
   const CLI::App* verb = &app;
@@ -58,13 +63,18 @@ std::string unknown_word(const CLI::App& app, int argc, const char* const* argv)
                            meant.empty() ? "" : fmt::format("; did you mean '{}'?", meant));
       }
       if (option->get_items_expected_max() > 0 && word.find('=') == std::string::npos) ++i;
-    } else if (!word.starts_with("-")) {
+    } else if (word.starts_with("-")) {
+      // "-o FILE"; in "-oFILE" it is in the word.
+      const CLI::Option* option = word.size() == 2 ? find_option(*verb, word) : nullptr;
+      if (option != nullptr && option->get_items_expected_max() > 0) ++i;
+    } else {
       const std::vector<std::string> verbs = verbs_of(*verb);
       if (verbs.empty()) continue;
       const CLI::App* found = nullptr;
       for (const CLI::App* candidate : verb->get_subcommands([](const CLI::App*) { return true; })) {
         if (candidate->get_name() == word) found = candidate;
       }
+      if (found == nullptr && takes_words(*verb)) continue;
       if (found == nullptr) return fmt::format("unknown verb '{}'{}", word, suggestion(word, verbs));
       verb = found;
     }

@@ -106,7 +106,8 @@ void add_gateway(Families& out, const Traffic& traffic) {
   out.counter("splatbus_gateway_requests_total", "HTTP requests", traffic.requests);
   out.counter("splatbus_gateway_moves_total", "Browsers that went on with another streamer", traffic.moves);
   out.counter("splatbus_gateway_pages_served_total", "Frozen pages sent over HTTP", traffic.pages_served);
-  out.counter("splatbus_gateway_pages_fetched_total", "Of them, asked of the streamer", traffic.pages_fetched);
+  out.counter("splatbus_gateway_pages_fetched_total", "Frozen pages asked of the streamer, to be sent over HTTP",
+              traffic.pages_fetched);
   out.gauge("splatbus_gateway_page_cache_bytes", "Of pages that are kept to be served again",
             static_cast<double>(traffic.page_bytes));
   out.counter("splatbus_gateway_exports_total", "Files made of the live model", traffic.exports);
@@ -138,7 +139,7 @@ std::string metrics_text(const PipelineView& pipeline, const Traffic& traffic, s
     out.gauge("splatbus_stream_ssim",
               "A viewer's picture against the engine's, the newest comparison; absent after 10 s without one",
               quality->ssim);
-    out.gauge("splatbus_stream_psnr_db", "The same", quality->psnr_db);
+    out.gauge("splatbus_stream_psnr_db", "PSNR of the same pictures, dB", quality->psnr_db);
   }
   if (const auto* trainer = pipeline.trainer(now_ns)) add_trainer(out, *trainer);
   add_gateway(out, traffic);

@@ -191,8 +191,12 @@ int main(int argc, char** argv) {
   char set[] = "--set", probe[] = "probe=true", window[] = "window=true", opengl[] = "opengl=true";
   std::deque<std::string> packet_logs;  // where each lies stays
   bool standalone = false;
+  const char* const backend = std::getenv("SPLATBUS_BACKEND");
+  const bool opengl_wanted = backend != nullptr && std::string_view(backend) == "gl";
+  if (opengl_wanted) ::unsetenv("SPLATBUS_BACKEND");
   for (int i = 0; i < argc; ++i) {
     const std::string_view argument = argv[i];
+    constexpr std::string_view kRecord = "--record=";
     for (const std::string_view alone : {"--connect", "--replay", "--bench"}) {
       standalone = standalone || argument.starts_with(alone);
     }
@@ -200,6 +204,13 @@ int main(int argc, char** argv) {
       packet_logs.push_back(std::string("packet_log=") + argv[++i]);
       arguments.push_back(set);
       arguments.push_back(packet_logs.back().data());
+    } else if (argument.starts_with(kRecord)) {
+      packet_logs.push_back("packet_log=" + std::string(argument.substr(kRecord.size())));
+      arguments.push_back(set);
+      arguments.push_back(packet_logs.back().data());
+    } else if (argument == "--backend=gl") {
+      arguments.push_back(set);
+      arguments.push_back(opengl);
     } else if (argument == "--backend" && i + 1 < argc && std::string_view(argv[i + 1]) == "gl") {
       ++i;
       arguments.push_back(set);
@@ -210,6 +221,10 @@ int main(int argc, char** argv) {
     } else {
       arguments.push_back(argv[i]);
     }
+  }
+  if (opengl_wanted) {
+    arguments.push_back(set);
+    arguments.push_back(opengl);
   }
   const auto count = static_cast<int>(arguments.size());
   if (standalone) return standalone_main(count, arguments.data());

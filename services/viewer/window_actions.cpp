@@ -1,3 +1,5 @@
+#include <fmt/format.h>
+
 #include <exception>
 #include <string>
 
@@ -63,7 +65,7 @@ void Window::Impl::save_picture() {
     if (picture.empty()) return panels.say(texts::kNoPicture);
     const std::string path = new_file(folder, ".png");
     metrics::write_png(path, picture);
-    panels.say(path);
+    panels.say(fmt::format(texts::kSaved, path));
   } catch (const std::exception& error) {
     panels.say(error.what());
   }

@@ -218,8 +218,17 @@ TEST_F(OperatedPipeline, ADemoIsOperatedToo) {
                     test_environment());
   ASSERT_TRUE(eventually([&] { return run({"status"}).status.success() && pid_of("relight") != 0; }));
   ASSERT_TRUE(eventually([&] { return status()["relight"].value("state", "") == "running"; }));
+  const Answer logs = run({"logs", "relight"});
+  EXPECT_TRUE(logs.status.success()) << testing::PrintToString(logs.lines);
+  EXPECT_THAT(logs.lines, Contains(HasSubstr("started, process")));
+  ChildProcess attached(SPLATBUS_BIN_DIR "/splatbus", {"attach", "--bus", bus()}, test_environment());
+  std::vector<std::string> told;
   const pid_t before = pid_of("relight");
-  expect_success({"swap", "relight"});
+  EXPECT_TRUE(eventually([&] {  // it may be attached after the first
+    expect_success({"swap", "relight"});
+    for (std::string& line : attached.read_lines(false)) told.push_back(std::move(line));
+    return std::ranges::any_of(told, [](const auto& line) { return line.find("relight") != std::string::npos; });
+  })) << testing::PrintToString(told);
   EXPECT_NE(pid_of("relight"), before);
   expect_success({"down"});
   std::optional<ExitStatus> ended;

@@ -3,15 +3,16 @@ import { save } from './snapshot';
 export const kModelFiles = ['ply', 'glb', 'spz'] as const;
 export type ModelFile = (typeof kModelFiles)[number];
 
-/** Saves the live model as a file; false where the server has none. */
-export async function downloadModel(kind: ModelFile, token: string | null): Promise<boolean> {
+/** Saves the live model as a file; or says why not: the server does not let this page, has none now, or does not answer. */
+export async function downloadModel(kind: ModelFile, token: string | null): Promise<'saved' | 'refused' | 'none' | 'silent'> {
   try {
     const answer = await fetch(`model.${kind}`, { headers: token ? { authorization: `Bearer ${token}` } : {} });
-    if (!answer.ok) return false;
+    if (answer.status === 401 || answer.status === 403) return 'refused';
+    if (!answer.ok) return 'none';
     save(await answer.blob(), `splatbus.${kind}`);
-    return true;
+    return 'saved';
   } catch {
-    return false;
+    return 'silent';
   }
 }
 

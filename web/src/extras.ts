@@ -1,4 +1,4 @@
-import { addressWith } from './camera/address';
+import { sharedAddress } from './camera/address';
 import { kTurnSpeed } from './camera/keys';
 import type { Rig } from './camera/rig';
 import { Comparison } from './compare/comparison';
@@ -73,7 +73,10 @@ export class Extras {
 
   async download(kind: ModelFile): Promise<void> {
     this.page.notice(texts.downloading);
-    if (!(await downloadModel(kind, this.access.token))) this.page.notice(texts.downloadFailed);
+    const end = await downloadModel(kind, this.access.token);
+    if (end === 'refused') this.page.notice(texts.downloadForbidden);
+    else if (end === 'none') this.page.notice(texts.downloadFailed);
+    else if (end === 'silent') this.page.notice(texts.serverSilent);
   }
 
   async immerse(): Promise<void> {
@@ -133,7 +136,7 @@ export class Extras {
   }
 
   async share(): Promise<void> {
-    const address = addressWith(new URL(location.href), this.rig.goal);
+    const address = sharedAddress(new URL(location.href), this.rig.goal);
     history.replaceState(null, '', address);
     // Without TLS a browser has no clipboard for pages, and with it a person may refuse.
     const copied = await navigator.clipboard?.writeText(address).then(() => true, () => false);
@@ -142,6 +145,6 @@ export class Extras {
 
   toggleFullScreen(): void {
     if (!document.fullscreenEnabled) return this.page.notice(texts.noFullScreen); // a phone's browser may have it for films alone
-    void (document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen()).catch(() => {});
+    void (document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen()).catch(() => this.page.notice(texts.fullScreenRefused));
   }
 }

@@ -9,12 +9,13 @@ export function save(blob: Blob, name: string): void {
   setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
 }
 
-/** Saves a picture as PNG. */
+/** Saves a picture as PNG. Throws where the browser cannot make one of it. */
 export async function savePng(picture: Picture, name: string): Promise<void> {
   const canvas = document.createElement('canvas');
   canvas.width = picture.width;
   canvas.height = picture.height;
   canvas.getContext('2d')?.putImageData(new ImageData(picture.rgba, picture.width, picture.height), 0, 0);
   const blob = await new Promise<Blob | null>((resolve) => canvas.toBlob(resolve, 'image/png'));
-  if (blob) save(blob, name);
+  if (!blob) throw new Error('the browser makes no PNG of this size');
+  save(blob, name);
 }

@@ -85,7 +85,7 @@ export class Status {
       age: known(this.#ageMs(nowMs), texts.ms),
       missing: known(figures?.missing, texts.pages),
       uploaded: stage.uploadedRows.toLocaleString('en'),
-      resolution: resolution > 0 ? `${Math.round(100 * resolution)} %` : texts.unknown,
+      resolution: resolution > 0 ? texts.percent(resolution) : texts.unknown,
       drawnBy: stage.renderer ? texts.apis[stage.renderer.api] : texts.unknown,
       connection: this.#retryAtMs > 0 ? texts.lost : connection,
     });
@@ -112,8 +112,10 @@ export class Status {
 
   /** A WebSocket does not say why it was not opened. */
   async #askWhy(): Promise<void> {
-    const here = await rightsHere(this.access.token);
-    const refused = this.access.token ? texts.tokenRefused : texts.tokenMissing;
+    const { token } = this.access;
+    const here = await rightsHere(token);
+    if (token !== this.access.token) return; // somebody has another one now
+    const refused = token ? texts.tokenRefused : texts.tokenMissing;
     this.#refused = here === 'refused' ? refused : '';
   }
 }

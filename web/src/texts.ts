@@ -2,6 +2,7 @@
 import type { BenchFigures } from './bench';
 
 const pages = (count: number): string => (count === 1 ? '1 page' : `${count} pages`);
+const percent = (part: number): string => `${Math.round(100 * part)} %`;
 
 export const texts = {
   title: 'splatbus',
@@ -11,6 +12,7 @@ export const texts = {
   close: 'Close',
   fullScreen: 'Full screen',
   noFullScreen: 'This browser has no full screen.',
+  fullScreenRefused: 'The browser does not allow full screen now.',
   frameAll: 'Show all',
   resetView: 'Reset view',
   snapshot: 'Save picture',
@@ -23,7 +25,7 @@ export const texts = {
   qualities: { auto: 'Automatic', full: 'Full', high: 'High', medium: 'Medium', low: 'Low' },
   gaussianBudget: 'Gaussians at most',
   rateBudget: 'Mbit/s at most',
-  noLimit: 'No limit',
+  noLimit: 'As the server likes',
   background: 'Background',
   backgrounds: { scene: "The scene's", black: 'Black', gray: 'Gray', white: 'White' },
   speed: 'Speed',
@@ -31,6 +33,7 @@ export const texts = {
   download: 'Download the model',
   downloading: 'The model is being fetched.',
   serverSilent: 'The server does not answer.',
+  downloadForbidden: 'This link may not download the model.',
   downloadFailed: 'The server does not offer this file now.',
   compare: 'Compare',
   compareSlider: 'How much of the picture is of splats; the rest is the engine\'s own',
@@ -93,6 +96,8 @@ export const texts = {
   connecting: 'Connecting',
   connected: 'Connected',
   lost: 'Lost',
+  percent,
+  count: (value: number) => (value >= 1e6 ? `${value / 1e6} M` : `${value / 1e3} K`),
   tokenMissing: 'The server asks for a token: open the whole link that you were given.',
   tokenRefused: 'The server does not accept the token of this link.',
   reconnecting: (seconds: number) => `No connection. Trying again in ${Math.ceil(seconds)} s.`,
@@ -114,7 +119,7 @@ export const texts = {
     `This device has too little memory for the scene: choose fewer Gaussians in the menu.${seconds > 0 ? ` Trying again in ${Math.ceil(seconds)} s.` : ''}`,
   /** Negative: nobody knows yet how much. */
   benchWaiting: (missing: number) => `Measuring begins once the scene is there${missing > 0 ? `; missing: ${pages(missing)}` : ''}.`,
-  benchRunning: (part: number) => `Measuring: ${Math.round(100 * part)} %`,
+  benchRunning: (part: number) => `Measuring: ${percent(part)}`,
   benchDone: (shown: BenchFigures, drawn: BenchFigures) =>
     `${shown.framesPerSecond.toFixed(1)} frames/s on this display, ${shown.medianMs.toFixed(1)} ms in the middle. ` +
     `Drawing one takes ${drawn.medianMs.toFixed(2)} ms in the middle, 99 of 100 at most ${drawn.p99Ms.toFixed(2)} ms: ` +

@@ -15,7 +15,7 @@ import { Status } from './status';
 import type { Budget, ConnectionState, FromStreamWorker, StreamFigures } from './stream/messages';
 import { StreamLink } from './stream/stream_link';
 import { texts } from './texts';
-import { make, button } from './ui/dom';
+import { make } from './ui/dom';
 import { Menu } from './ui/menu';
 import { keepSettings, kResolutions, kSpeeds, sceneBefore, type Settings } from './ui/settings';
 import { takeShortcuts } from './ui/shortcuts';
@@ -108,11 +108,11 @@ export class Viewer {
     }, options.mip);
     this.stage.element.setAttribute('aria-label', texts.picture);
     this.#controls = new Controls(this.stage.element, this.rig);
-    this.#controls.onFrameAll = () => this.overview.ask();
+    this.#controls.onFrameAll = () => this.#leavePlayer(() => this.overview.ask());
     this.#controls.onPick = (right, down) => this.extras.picking.at(right, down);
     const actions = {
-      frameAll: () => this.overview.ask(),
-      resetView: () => this.overview.reset(),
+      frameAll: () => this.#leavePlayer(() => this.overview.ask()),
+      resetView: () => this.#leavePlayer(() => this.overview.reset()),
       fullScreen: () => this.extras.toggleFullScreen(),
       snapshot: () => void this.extras.saveSnapshot(),
       share: () => void this.extras.share(),
@@ -130,9 +130,9 @@ export class Viewer {
       menu: () => this.#menu.toggle(),
       escape: () => this.#escape(),
     });
-    const bar = make('div', { class: 'bar' }, button(texts.menu, () => this.#menu.toggle()));
+    const bar = make('div', { class: 'bar' }, this.#menu.opener);
     void canImmerse().then((can) => can && this.#menu.offerImmersion());
-    root.append(this.stage.element, this.extras.comparison.element, this.#status.overlay.element, this.#controls.stick.element, bar, this.#menu.element, this.#status.notice.element);
+    root.append(this.stage.element, this.extras.comparison.element, this.#status.overlay.element, this.#controls.stick.element, bar, this.#menu.element, this.#status.notice.element, this.#status.notice.spoken);
     this.link.onMessage = (message) => this.#hear(message);
     this.link.onStarted = () => this.stage.feed();
     addEventListener('pagehide', () => this.link.leave());
@@ -188,9 +188,17 @@ export class Viewer {
     this.#draw(view, nowMs);
     this.extras.comparison.advance(nowMs, view, this.stage.standing && nowMs - this.#movedMs > kSettleMs);
     if (this.#status.show(nowMs, this.#drawn.resolution, this.#bench.text(this.figures?.missing ?? -1))) {
-      this.#menu.offerPlayer(this.stage.scene.player > 0, this.#player.following);
+      const { player } = this.stage.scene;
+      const { following } = this.#player;
+      this.#menu.show({ player: player > 0, following, figures: !this.#status.overlay.element.hidden, comparing: this.extras.comparison.on });
     }
     if (this.#steered && !this.#bench.flying && nowMs - this.#movedMs > kSettleMs) this.#address.keep(nowMs, this.rig.goal);
+  }
+
+  /** For another view that somebody wants. */
+  #leavePlayer(go: () => void): void {
+    this.#player.following = false;
+    go();
   }
 
   #follow(): void {

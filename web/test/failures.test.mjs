@@ -158,6 +158,12 @@ test('while things move the still is taken seldom and small', kLimit, () =>
     { viewport: { width: 1000, height: 600 } },
   ));
 
+test('an address that asks for WebGPU shows the scene where there is none', kLimit, () =>
+  opened(pageOf('webgpu'), async (page) => {
+    await drawsBy(page, 'webgl2');
+    assert.ok((await shownColors(page)) > 500);
+  }, { init: () => delete Navigator.prototype.gpu }));
+
 test('rows that were on their way to the renderer before are none of this one', kLimit, () =>
   opened(pageOf('webgpu'), async (page) => {
     const calls = await page.evaluate(async () => {

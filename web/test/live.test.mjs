@@ -31,17 +31,16 @@ after(async () => {
 });
 
 const figures = () => page.evaluate(() => window.splatbus.figures);
-/** Waits for what the figures say; at no time may the picture be gone. The site's policy lets no page make functions. */
-const standsUntil = (condition, before) =>
-  page.waitForFunction(
-    new Function(
-      'then',
-      `const { stage, figures } = window.splatbus;
-      if (!stage.standing || figures?.gaussians < 1000) throw new Error('the picture is gone');
-      return (${condition})(figures, then);`,
-    ),
-    before,
-  );
+/** Waits for what the figures say. The site's policy lets no page make functions. */
+const saidThat = (condition, before) =>
+  page.waitForFunction(new Function('then', `return (${condition})(window.splatbus.figures, then);`), before);
+/** Films what becomes of the page meanwhile: at no time may the picture be gone. */
+async function standsWhile(act) {
+  const film = await filmed(page);
+  await act();
+  const colors = (await film()).map((picture) => colorsIn(readPng(picture), kMiddle));
+  assert.ok(Math.min(...colors) > 0.5 * colors[0], `${colors} colors`);
+}
 
 test('a scene that is made while it is watched', async () => {
   await page.goto(pipeline.url);
@@ -104,7 +103,7 @@ test('twenty pages at once', async () => {
     assert.ok(all.some((one) => one[news] < 250), `it is said at once: ${news} ${all.map((one) => one[news])}`);
   }
   // The twenty-first has gone on.
-  await standsUntil((now, then) => now.sequence > then, (await figures()).sequence);
+  await saidThat((now, then) => now.sequence > then, (await figures()).sequence);
 });
 
 test('a page that stops reading harms none, and goes on when it reads again', async () => {
@@ -122,7 +121,7 @@ test('a page that stops reading harms none, and goes on when it reads again', as
     signal('SIGSTOP');
     // Some seconds, of which the good page hears as before.
     const { sequence } = await figures();
-    await standsUntil((now, then) => now.sequence > then + 40, sequence);
+    await standsWhile(() => saidThat((now, then) => now.sequence > then + 40, sequence));
     signal('SIGCONT');
     await theirs.waitForFunction((then) => window.splatbus.connection === 'open' && window.splatbus.figures.sequence > then && window.splatbus.figures.missing === 0, heard);
   } finally {
@@ -131,45 +130,50 @@ test('a page that stops reading harms none, and goes on when it reads again', as
   }
 });
 
-test('the gateway is killed: the picture stands, and the stream goes on', async () => {
-  await pipeline.restarted('gateway');
-  const { bytes } = await figures();
-  await standsUntil((now, then) => window.splatbus.connection === 'open' && now.bytes > then && now.missing === 0, bytes);
-});
+test('the gateway is killed: the picture stands, and the stream goes on', () =>
+  standsWhile(async () => {
+    await pipeline.restarted('gateway');
+    const { bytes } = await figures();
+    await saidThat((now, then) => window.splatbus.connection === 'open' && now.bytes > then && now.missing === 0, bytes);
+  }));
 
-test('the streamer is killed: the picture stands until another has a whole one', async () => {
-  const { epoch } = await figures();
-  await pipeline.restarted('streamer');
-  await standsUntil((now, then) => now.epoch !== then && now.missing === 0, epoch);
-  await standsUntil((now, then) => now.sequence > then, (await figures()).sequence);
-});
+test('the streamer is killed: the picture stands until another has a whole one', () =>
+  standsWhile(async () => {
+    const { epoch } = await figures();
+    await pipeline.restarted('streamer');
+    await saidThat((now, then) => now.epoch !== then && now.missing === 0, epoch);
+    await saidThat((now, then) => now.sequence > then, (await figures()).sequence);
+  }));
 
-test('the trainer is killed: the picture stands, and what another makes of it arrives', async () => {
-  await pipeline.restarted('trainer');
-  // Of the streamer that the test before has put there: the page can have its model before the gateway has its report.
-  let version;
-  await until(async () => (version = (await pipeline.status()).stream?.version) !== undefined);
-  await until(async () => (await pipeline.status()).stream?.version > version);
-  await standsUntil((now, then) => now.sequence > then && now.missing === 0, (await figures()).sequence);
-});
+test('the trainer is killed: the picture stands, and what another makes of it arrives', () =>
+  standsWhile(async () => {
+    await pipeline.restarted('trainer');
+    // Of the streamer that the test before has put there: the page can have its model before the gateway has its report.
+    let version;
+    await until(async () => (version = (await pipeline.status()).stream?.version) !== undefined);
+    await until(async () => (await pipeline.status()).stream?.version > version);
+    await saidThat((now, then) => now.sequence > then && now.missing === 0, (await figures()).sequence);
+  }));
 
 test('the engine is killed: the picture stands, and lives again with another', async () => {
-  await pipeline.restarted('engine');
-  await standsUntil((now, then) => now.sceneVersion > then && now.missing === 0, (await figures()).sceneVersion);
+  await standsWhile(async () => {
+    await pipeline.restarted('engine');
+    await saidThat((now, then) => now.sceneVersion > then && now.missing === 0, (await figures()).sceneVersion);
+  });
   assert.deepEqual(errors, []);
 });
 
 // In what comes through the WebSocket, what the page says, and what it is given.
 for (const called of ['receive', 'set_pose', 'take_changes']) {
   test(`a trap in the stream worker's ${called}(): another follows the stream, and the picture stands`, async () => {
-    const film = await filmed(page);
     const { bytes } = await figures();
-    await (await trapIn(page, called))();
-    await page.waitForFunction((before) => window.splatbus.figures.bytes < before, bytes); // counted anew
-    await page.waitForFunction(() => window.splatbus.connection === 'open' && window.splatbus.figures.gaussians > 1000 && window.splatbus.figures.missing === 0);
-    await standsUntil((now, then) => now.sequence > then, (await figures()).sequence);
-    const colors = (await film()).map((picture) => colorsIn(readPng(picture), kMiddle));
-    assert.ok(Math.min(...colors) > 0.5 * colors[0], `${colors} colors`);
+    const trap = await trapIn(page, called);
+    await standsWhile(async () => {
+      await trap();
+      await page.waitForFunction((before) => window.splatbus.figures.bytes < before, bytes); // counted anew
+      await page.waitForFunction(() => window.splatbus.connection === 'open' && window.splatbus.figures.gaussians > 1000 && window.splatbus.figures.missing === 0);
+      await saidThat((now, then) => now.sequence > then, (await figures()).sequence);
+    });
   });
 }
 

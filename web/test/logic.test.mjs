@@ -242,6 +242,26 @@ test('an address keeps a view and loses a token', () => {
   assert.ok(!/secret|other/.test(next), next);
   assert.deepEqual(logic.readAddress(new URL(next)).pose, pose);
   assert.equal(logic.readAddress(new URL(next)).options.get('gpu'), 'webgpu');
+  const shared = new URL(logic.sharedAddress(new URL('https://example.org/?bench=1&seconds=9&gpu=webgl2#token=secret'), pose));
+  assert.deepEqual([...shared.searchParams], [['gpu', 'webgl2']], 'nobody is to measure who is to look');
+  assert.deepEqual(logic.readAddress(shared).pose, pose);
+});
+
+test('a token in the address is not taken away before it is taken', () => {
+  const pose = { target: [1, 2, 3], yaw: 1, pitch: 0.5, distance: 4 };
+  const kept = [];
+  Object.assign(globalThis, { location: { href: 'https://example.org/' }, history: { replaceState: (state, title, address) => kept.push(address) } });
+  try {
+    const address = new logic.KeptAddress();
+    address.keep(1000, pose);
+    assert.deepEqual(kept.map((one) => logic.readAddress(new URL(one)).pose), [pose]);
+    location.href = 'https://example.org/#token=abc';
+    address.keep(2000, pose);
+    assert.equal(kept.length, 1, `${kept}`);
+  } finally {
+    delete globalThis.location;
+    delete globalThis.history;
+  }
 });
 
 test('the camera comes to its goal without a jump, in the same time at any rate of pictures; at once where less motion is asked for', () => {

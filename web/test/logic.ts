@@ -1,5 +1,5 @@
 // What tests of the logic need, without a browser.
-export { addressWith, poseOf, poseText, readAddress } from '../src/camera/address';
+export { addressWith, KeptAddress, poseOf, poseText, readAddress, sharedAddress } from '../src/camera/address';
 export { Rig, viewOf } from '../src/camera/rig';
 export { flip } from '../src/compare/flip';
 export { ssim } from '../src/compare/ssim';

@@ -195,8 +195,11 @@ test('figures that somebody hides or shows are so the next time', () =>
     assert.equal(await hidden(), true, 'a small screen has none to begin with');
     await page.keyboard.press('i');
     assert.equal(await again(), false);
-    await page.keyboard.press('m');
-    await page.getByRole('button', { name: 'Figures' }).click();
+    const menu = page.getByRole('button', { name: 'Menu', expanded: false });
+    await menu.click();
+    await page.getByRole('button', { name: 'Menu', expanded: true }).waitFor();
+    await page.getByRole('button', { name: 'Figures', pressed: true }).click();
+    await page.getByRole('button', { name: 'Figures', pressed: false }).waitFor();
     assert.equal(await again(), true);
   }));
 
@@ -271,6 +274,10 @@ test('who is not let in is told so, and not that nobody is there', () => {
     const lost = (retryS) => page.evaluate((seconds) => new BroadcastChannel('connection').postMessage(seconds), retryS);
     await lost(30);
     await says('No connection. Trying again in');
+    const spoken = () => page.evaluate(() => document.querySelector('[role=status].spoken').textContent);
+    const said = await spoken();
+    await page.waitForFunction((first) => document.querySelector('.notice').textContent !== first, said);
+    assert.equal(await spoken(), said, 'a second that has passed is no news');
     await page.waitForFunction(() => document.querySelector('[data-figure=connection]').textContent === 'Lost');
     await page.keyboard.press('c');
     await says('does not answer');
@@ -373,6 +380,7 @@ test('a slider between the engine\'s own picture and the splats, and how alike t
 });
 
 test('the model is downloaded as a file, or it is said that there is none', () => {
+  let forbidden = (route) => route.fulfill({ status: 403, body: 'not for this token' });
   const body = (route) => (route.request().headers().authorization === 'Bearer abc' ? 'a model' : 'no token');
   return opened(`index.html?token=abc#${view(kStart)}`, async (page) => {
     await page.keyboard.press('m');
@@ -382,6 +390,15 @@ test('the model is downloaded as a file, or it is said that there is none', () =
     assert.equal(file.suggestedFilename(), 'splatbus.glb');
     assert.equal(readFileSync(await file.path(), 'utf8'), 'a model');
     await page.getByRole('button', { name: '.spz' }).click();
-    await page.waitForFunction(() => document.querySelector('.notice').textContent.includes('not offer this file'));
-  }, { before: answering('**/model.glb', (route) => route.fulfill({ body: body(route) })) });
+    const says = (text) => page.waitForFunction((part) => document.querySelector('.notice').textContent.includes(part), text);
+    await says('not offer this file');
+    await page.getByRole('button', { name: '.ply' }).click();
+    await says('may not download');
+    forbidden = (route) => route.abort();
+    await page.getByRole('button', { name: '.ply' }).click();
+    await says('does not answer');
+  }, { before: async (page) => {
+    await page.route('**/model.glb', (route) => route.fulfill({ body: body(route) }));
+    await page.route('**/model.ply', (route) => forbidden(route));
+  } });
 });

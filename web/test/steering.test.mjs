@@ -490,6 +490,14 @@ test('a gamepad flies, turns and shows all', () =>
     await page.waitForFunction(() => window.splatbus.rig.goal.distance > 4.01);
   }));
 
+const kFollow = 'Follow the player';
+const playerOf = (page) => (camera) => page.evaluate((transform) => new BroadcastChannel('player').postMessage(transform), camera);
+const follows = (page, wanted) =>
+  page.waitForFunction(
+    ([text, pressed]) => [...document.querySelectorAll('.menu button')].find((one) => one.textContent === text).getAttribute('aria-pressed') === pressed,
+    [kFollow, String(wanted)],
+  );
+
 test('G follows the player where there is one, until somebody steers', () =>
   opened(kPage, async (page) => {
     const says = (text) => page.waitForFunction((part) => document.querySelector('.notice').textContent.includes(part), text);
@@ -497,10 +505,10 @@ test('G follows the player where there is one, until somebody steers', () =>
     await says('no player');
     assert.deepEqual(await goal(page), kStart);
     await page.keyboard.press('m');
-    const entry = page.getByRole('button', { name: 'Follow the player' });
+    const entry = page.getByRole('button', { name: kFollow });
     assert.equal(await entry.isVisible(), false);
+    const player = playerOf(page);
     // From (0, 1, 3) along -z, then along -x and down.
-    const player = (camera) => page.evaluate((transform) => new BroadcastChannel('player').postMessage(transform), camera);
     await player([1, 0, 0, 0, 0, -1, 0, 1, 0, 0, -1, 3]);
     await entry.click();
     await says('Following');
@@ -518,16 +526,33 @@ test('G follows the player where there is one, until somebody steers', () =>
     const [c, s] = [Math.cos(0.3), Math.sin(0.3)];
     await player([0, s, -c, 2, 0, -c, -s, 1.5, -1, 0, 0, 0]);
     await stands([2, 1.5, 0], 0, 0.3);
-    await page.waitForFunction(() => document.querySelector('[aria-pressed]').getAttribute('aria-pressed') === 'true');
+    await follows(page, true);
     await page.keyboard.press('Escape');
     await page.mouse.move(160, 100);
     await page.mouse.wheel(0, -100);
     await page.waitForFunction((distance) => window.splatbus.rig.goal.distance < distance, kStart.distance);
-    await page.waitForFunction(() => document.querySelector('[aria-pressed]').getAttribute('aria-pressed') === 'false');
+    await follows(page, false);
     const left = await goal(page);
     await player([1, 0, 0, 0, 0, -1, 0, 1, 0, 0, -1, 3]);
     await page.waitForFunction(() => window.splatbus.stage.scene.transforms.at(-1) === 3);
     assert.deepEqual(await goal(page), left);
     await player(null);
-    await page.waitForFunction(() => document.querySelector('[aria-pressed]').hidden);
+    await page.waitForFunction((text) => [...document.querySelectorAll('.menu button')].find((one) => one.textContent === text).hidden, kFollow);
   }));
+
+for (const [key, what] of [['f', 'to see all'], ['r', 'to see what was seen first']]) {
+  test(`who follows the player and asks ${what} follows no more, though nobody has steered`, () =>
+    opened(kPage, async (page) => {
+      await playerOf(page)([1, 0, 0, 0, 0, -1, 0, 1, 0, 0, -1, 3]);
+      await page.waitForFunction(() => window.splatbus.stage.scene.player > 0);
+      await page.keyboard.press('g');
+      await follows(page, true);
+      await page.keyboard.press(key);
+      await follows(page, false);
+      if (key === 'r') await reaches(page, { yaw: kStart.yaw, pitch: kStart.pitch, distance: kStart.distance });
+      const { target } = await goal(page);
+      await playerOf(page)([1, 0, 0, 0, 0, -1, 0, 1, 0, 0, -1, 30]);
+      await page.waitForFunction(() => window.splatbus.stage.scene.transforms.at(-1) === 30);
+      assert.ok(Math.abs((await goal(page)).target[2] - 30) > 10, `${(await goal(page)).target} after ${target}`);
+    }));
+}

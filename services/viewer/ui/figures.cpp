@@ -83,8 +83,9 @@ std::vector<std::pair<std::string, std::string>> figure_rows(const Figures& figu
     rows.emplace_back(texts::kRate, rate(stream));
     rows.emplace_back(texts::kRoundTrip, known_ms(stream.round_trip_ms));
     rows.emplace_back(texts::kAge, known_ms(stream.age_ms));
-    rows.emplace_back(texts::kMissing,
-                      stream.missing_pages > 0 ? fmt::format("{} pages", stream.missing_pages) : texts::kNothing);
+    rows.emplace_back(texts::kMissing, stream.missing_pages == 0   ? texts::kNothing
+                                       : stream.missing_pages == 1 ? texts::kOnePage
+                                                                   : fmt::format(texts::kPages, stream.missing_pages));
   }
   rows.emplace_back(texts::kResolution, fmt::format("{:.0f} %", 100 * resolution));
   if (figures.stream) {

@@ -17,7 +17,7 @@ inline constexpr const char* kQuality = "Quality";
 inline constexpr std::array kQualities{"Full", "High", "Medium", "Low"};
 inline constexpr const char* kGaussianBudget = "Gaussians at most";
 inline constexpr const char* kRateBudget = "Mbit/s at most";
-inline constexpr const char* kNoLimit = "No limit";
+inline constexpr const char* kNoLimit = "As the server likes";
 inline constexpr const char* kBackground = "Background";
 inline constexpr std::array kBackgrounds{"The scene's", "Black", "Gray", "White"};
 inline constexpr const char* kSaveModel = "Save the model";
@@ -36,6 +36,7 @@ inline constexpr std::array kKeyList{
     std::pair{"V F11", "full screen"},
     std::pair{"Escape", "menu, full screen or window: close"},
     std::pair{"Drag", "orbit; with Shift or another button, pan"},
+    std::pair{"Wheel", "nearer, farther"},
 };
 inline constexpr const char* kSteerHint = "A click into the picture gives it the keys.";
 
@@ -49,6 +50,8 @@ inline constexpr const char* kRoundTrip = "Round trip";
 inline constexpr const char* kAge = "Picture age";
 inline constexpr const char* kMissing = "Missing";
 inline constexpr const char* kNothing = "nothing";
+inline constexpr const char* kOnePage = "1 page";
+inline constexpr const char* kPages = "{} pages";
 inline constexpr const char* kResolution = "Resolution";
 inline constexpr const char* kConnection = "Connection";
 inline constexpr const char* kConnected = "Connected";
@@ -60,6 +63,7 @@ inline constexpr const char* kNoPlayer = "The engine offers no player to follow.
 inline constexpr const char* kSaving = "The model is being saved.";
 inline constexpr const char* kStillSaving = "The model is still being saved.";
 inline constexpr const char* kNoModel = "The model is not here yet.";
+inline constexpr const char* kSaved = "Saved: {}";
 inline constexpr const char* kNoPicture = "There is no picture yet.";
 inline constexpr const char* kReconnecting = "No connection. Trying again.";
 inline constexpr const char* kWaiting = "Connected. Waiting for the first of the scene.";

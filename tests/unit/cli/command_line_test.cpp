@@ -32,6 +32,12 @@ Outcome parse(std::vector<const char*> arguments) {
   group->add_option("--folder", folder);
   launch->add_option("--rate", rate)->check(CLI::Range(0.5, 4.0));
   launch->add_option("--wait", seconds)->check(CLI::PositiveNumber);
+  // A verb that is one by itself, takes words, and has verbs.
+  std::string file, format;
+  CLI::App* save = app.add_subcommand("save", "");
+  save->add_option("file", file);
+  save->add_option("-f,--format", format);
+  save->add_subcommand("all", "");
   arguments.insert(arguments.begin(), "prog");
   testing::internal::CaptureStdout();
   testing::internal::CaptureStderr();
@@ -44,6 +50,8 @@ Outcome parse(std::vector<const char*> arguments) {
 
 TEST(CommandLine, GoodOnesRunAndHelpEnds) {
   EXPECT_EQ(parse({"launch", "--folder", "x"}).status, std::nullopt);
+  EXPECT_EQ(parse({"save", "a.ply", "-f", "ply"}).status, std::nullopt);
+  EXPECT_EQ(parse({"save", "all"}).status, std::nullopt);
   EXPECT_EQ(parse({"--help"}).status, 0);
   EXPECT_EQ(parse({"topic", "--help"}).status, 0);
 }
@@ -57,6 +65,8 @@ TEST(CommandLine, MistypedWordsGetTheNearestAndStatusTwo) {
       {{"launch", "--foldr", "x"}, "unknown option '--foldr'; did you mean '--folder'?"},
       {{"topic", "list", "--second=1"}, "unknown option '--second'; did you mean '--seconds'?"},
       {{"launch", "--zzzzzzz"}, "unknown option '--zzzzzzz'\n"},
+      {{"save", "a.ply", "--formt", "ply"}, "unknown option '--formt'; did you mean '--format'?"},
+      {{"save", "-f", "ply", "--formt", "ply"}, "unknown option '--formt'; did you mean '--format'?"},
       {{}, "give a verb"},
       {{"topic"}, "give a verb"}};
   for (const auto& [arguments, text] : cases) {

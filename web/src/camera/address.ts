@@ -39,6 +39,13 @@ export function addressWith(url: URL, pose: Pose | null): string {
   return next.href;
 }
 
+/** The same to be passed on: who gets it wants to look, not to measure. */
+export function sharedAddress(url: URL, pose: Pose): string {
+  const next = new URL(addressWith(url, pose));
+  for (const name of ['bench', 'seconds']) next.searchParams.delete(name);
+  return next.href;
+}
+
 const kKeptEveryMs = 500;
 
 /** The page's own address has the view. */
@@ -49,7 +56,9 @@ export class KeptAddress {
   keep(nowMs: number, pose: Pose): void {
     if (nowMs - this.#keptMs <= kKeptEveryMs) return;
     this.#keptMs = nowMs;
-    const address = addressWith(new URL(location.href), pose);
+    const here = new URL(location.href);
+    if (readAddress(here).token !== null) return; // it has just come, and has not been taken yet
+    const address = addressWith(here, pose);
     if (address !== location.href) history.replaceState(null, '', address);
   }
 }

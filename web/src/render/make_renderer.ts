@@ -31,14 +31,14 @@ async function makeWebGpu(canvas: HTMLCanvasElement): Promise<Renderer> {
 
 /**
  * By the interface that is asked for, or by the best that there is: WebGPU, but where only software would do it WebGL2.
- * Throws where the browser lacks it. `forHeadset`: by WebGL2, on the device that the headset hangs on.
+ * Where there is no WebGPU it is WebGL2 all the same: an address is passed on to other browsers. Throws where the browser
+ * lacks that too. `forHeadset`: by WebGL2, on the device that the headset hangs on.
  */
 export async function makeRenderer(canvas: HTMLCanvasElement, wanted: Api | null, forHeadset = false): Promise<Renderer> {
   if (forHeadset || webGpuFailed) return new WebGl2Renderer(canvas, forHeadset);
-  if (wanted === 'webgpu') return makeWebGpu(canvas);
-  if (wanted === null) {
+  if (wanted !== 'webgl2') {
     try {
-      if (await hasFastWebGpu()) return await makeWebGpu(canvas);
+      if (wanted === 'webgpu' ? navigator.gpu : await hasFastWebGpu()) return await makeWebGpu(canvas);
     } catch (error) {
       // A canvas that WebGPU has had gives no other context: then the next start, with a canvas of its own, draws.
       console.warn(error);

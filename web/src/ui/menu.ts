@@ -21,24 +21,35 @@ export interface MenuActions {
   readonly changed: () => void;
 }
 
-const count = (value: number): string => (value >= 1e6 ? `${value / 1e6} M` : `${value / 1e3} K`);
+/** What is on now, and whether there is a player to go along with. */
+export interface MenuState {
+  readonly player: boolean;
+  readonly following: boolean;
+  readonly figures: boolean;
+  readonly comparing: boolean;
+}
 
 /** A dialog that leaves the picture usable. */
 export class Menu {
   readonly element: HTMLDialogElement;
+  readonly opener = button(texts.menu, () => this.toggle());
+  readonly #figures: HTMLButtonElement;
+  readonly #compare: HTMLButtonElement;
   readonly #follow: HTMLButtonElement;
   readonly #immerse: HTMLButtonElement;
   /** What says names of keys that are not the same on every keyboard. */
   readonly #names = new Map<HTMLElement, (layout: Layout | null) => string>();
 
   constructor(settings: Settings, actions: MenuActions) {
+    this.#figures = button(texts.figures, actions.figures);
+    this.#compare = button(texts.compare, actions.compare);
     this.#follow = button(texts.follow, actions.follow);
     this.#follow.hidden = true;
     this.#immerse = button(texts.immerse, actions.immerse);
     this.#immerse.hidden = true;
     const fullScreen = button(texts.fullScreen, actions.fullScreen);
     fullScreen.hidden = !document.fullscreenEnabled;
-    const budgets = Object.fromEntries(kGaussianBudgets.map((value) => [String(value), count(value)]));
+    const budgets = Object.fromEntries(kGaussianBudgets.map((value) => [String(value), texts.count(value)]));
     const rates = Object.fromEntries(kRateBudgets.map((value) => [String(value), value === 0 ? texts.noLimit : String(value)]));
     const change = (apply: () => void) => (): void => {
       apply();
@@ -55,8 +66,8 @@ export class Menu {
         fullScreen,
         button(texts.snapshot, actions.snapshot),
         button(texts.share, actions.share),
-        button(texts.figures, actions.figures),
-        button(texts.compare, actions.compare),
+        this.#figures,
+        this.#compare,
         this.#follow,
         this.#immerse,
       ),
@@ -75,6 +86,9 @@ export class Menu {
       make('dl', { class: 'keys' }, ...texts.keyList.map(([key, what]) => make('div', {}, this.#keyName(key), make('dd', {}, what)))),
       button(texts.close, () => this.element.close()),
     );
+    const say = (): void => this.opener.setAttribute('aria-expanded', String(this.element.open));
+    new MutationObserver(say).observe(this.element, { attributeFilter: ['open'] });
+    say();
   }
 
   #keyName(key: string | readonly string[]): HTMLElement {
@@ -90,10 +104,11 @@ export class Menu {
     this.#immerse.hidden = false;
   }
 
-  /** Whether there is a player to go along with, and who goes. */
-  offerPlayer(there: boolean, following: boolean): void {
-    this.#follow.hidden = !there;
-    this.#follow.setAttribute('aria-pressed', String(following));
+  show(state: MenuState): void {
+    this.#follow.hidden = !state.player;
+    this.#follow.setAttribute('aria-pressed', String(state.following));
+    this.#figures.setAttribute('aria-pressed', String(state.figures));
+    this.#compare.setAttribute('aria-pressed', String(state.comparing));
   }
 
   toggle(): void {

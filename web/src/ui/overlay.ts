@@ -37,7 +37,9 @@ export class Overlay {
 
 /** One line for what a person should know now; empty where there is nothing. */
 export class Notice {
-  readonly element = make('p', { class: 'notice', role: 'status', 'aria-live': 'polite' });
+  readonly element = make('p', { class: 'notice', 'aria-hidden': 'true' });
+  /** The same for who hears it, who would hear seconds that are counted and nothing else. */
+  readonly spoken = make('p', { class: 'spoken', role: 'status' });
   #kept = '';
   #passing = 0;
 
@@ -57,6 +59,9 @@ export class Notice {
   }
 
   #say(text: string): void {
-    if (this.element.textContent !== text) this.element.textContent = text;
+    if (this.element.textContent === text) return;
+    const words = (of: string): string => of.replace(/[\d.,]+/g, '');
+    if (words(this.spoken.textContent ?? '') !== words(text)) this.spoken.textContent = text;
+    this.element.textContent = text;
   }
 }
