@@ -42,14 +42,7 @@ class AbsentTopics {
     told_ = true;
     std::vector<std::string> there(heard_.begin(), heard_.end());
     for (const auto& [topic, seen] : known_->topics) there.push_back(topic);
-    for (const std::string& asked : options_.topics) {
-      TopicOptions one;
-      one.topics = {asked};
-      if (std::ranges::any_of(there, [&](const auto& topic) { return is_asked_for(one, topic); })) continue;
-      const std::string meant = bus::nearest(asked, there);
-      fmt::print(stderr, "splatbus topic echo: nothing has been published on '{}'{}\n", asked,
-                 meant.empty() ? "; 'splatbus topic list' shows what has" : fmt::format("; did you mean '{}'?", meant));
-    }
+    name_absent("echo", options_, there);
   }
 
  private:

@@ -3,6 +3,7 @@
 
 #include <cstdio>
 #include <nlohmann/json.hpp>
+#include <vector>
 
 #include "schema_json.h"
 #include "topic_verbs.h"
@@ -32,7 +33,9 @@ int describe_topics(const TopicOptions& options) {
         topic, fmt::join(seen.schemas, ", "), fmt::join(seen.sources, ", "), fmt::join(seen.subscribers, ", "),
         seen.latched ? "yes" : "no", seen.messages, seen.bytes - seen.shared_bytes, seen.shared_bytes));
   }
-  if (!found) fmt::print(stderr, "splatbus topic info: nobody has published {}\n", fmt::join(options.topics, ", "));
+  std::vector<std::string> there;
+  for (const auto& [topic, seen] : now.topics) there.push_back(topic);
+  name_absent("info", options, there);
   return found ? 0 : 1;
 }
 

@@ -3,6 +3,8 @@
 
 #include <nlohmann/json.hpp>
 #include <set>
+#include <utility>
+#include <vector>
 
 #include "schema_json.h"
 #include "topic_verbs.h"
@@ -45,6 +47,11 @@ std::string meter_line(const std::string& topic, const TopicTraffic& traffic, co
   return fmt::format("{:<24} {:>10.3f} {:>14.3f}", topic, traffic.megabits_per_s, traffic.shared_megabits_per_s);
 }
 
+const char* name_of(Meter meter) {
+  if (meter == Meter::Rate) return "hz";
+  return meter == Meter::Bandwidth ? "bw" : "delay";
+}
+
 std::string meter_head(Meter meter) {
   constexpr const char* kSpread = "  MEAN ms     LEAST  GREATEST DEVIATION";
   if (meter == Meter::Rate) return fmt::format("{:<24} {:>10} {}", "TOPIC", "HZ", kSpread);
@@ -78,9 +85,14 @@ int list_topics(const TopicOptions& options) {
 
 /// Once a second: what passed of every topic in that second. Names asked for that nobody has published are named too.
 int meter_topics(const TopicOptions& options, Meter meter) {
-  bool heard = false;
+  bool heard = false, named = false;
   if (!options.json) print(meter_head(meter));
   follow_topics(options, [&](const TopicSnapshot& before, const TopicSnapshot& after) {
+    if (!std::exchange(named, true)) {
+      std::vector<std::string> there;
+      for (const auto& [topic, seen] : after.topics) there.push_back(topic);
+      name_absent(name_of(meter), options, there);
+    }
     std::set<std::string> names;
     for (const auto& [topic, seen] : after.topics) {
       if (is_asked_for(options, topic)) names.insert(topic);

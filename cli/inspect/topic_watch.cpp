@@ -7,6 +7,7 @@
 #include <optional>
 #include <stdexcept>
 
+#include "bus/nearest.h"
 #include "bus/subscriber.h"
 #include "supervised_run.h"
 #include "verbs.h"
@@ -17,6 +18,17 @@ bool is_asked_for(const TopicOptions& options, const std::string& topic) {
   return std::any_of(options.topics.begin(), options.topics.end(), [&](const std::string& asked) {
     return asked.ends_with('*') ? topic.starts_with(asked.substr(0, asked.size() - 1)) : topic == asked;
   });
+}
+
+void name_absent(const char* verb, const TopicOptions& options, const std::vector<std::string>& there) {
+  for (const std::string& asked : options.topics) {
+    TopicOptions one;
+    one.topics = {asked};
+    if (std::ranges::any_of(there, [&](const auto& topic) { return is_asked_for(one, topic); })) continue;
+    const std::string meant = bus::nearest(asked, there);
+    fmt::print(stderr, "splatbus topic {}: nothing has been published on '{}'{}\n", verb, asked,
+               meant.empty() ? "; 'splatbus topic list' shows what has" : fmt::format("; did you mean '{}'?", meant));
+  }
 }
 
 void print(const std::string& text) {

@@ -28,6 +28,9 @@ struct TopicOptions {
 /// Whether the topics that were asked for, names or prefixes with a *, include this one.
 [[nodiscard]] bool is_asked_for(const TopicOptions& options, const std::string& topic);
 
+/// Says on stderr which of those that were asked for there are not among `there`, and what may be meant.
+void name_absent(const char* verb, const TopicOptions& options, const std::vector<std::string>& there);
+
 /// A deadline that 0 seconds means never.
 class Deadline {
  public:

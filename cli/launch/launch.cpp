@@ -160,8 +160,10 @@ void add_launch_verb(CLI::App& app, Action& action) {
   verb->add_flag("--dry-run", options->dry_run, "print every process in starting order and start nothing");
   verb->add_flag("--schema", options->schema, "print the JSON schema of launch files");
   const auto [up, up_options] = add("up", "Start the services of a launch file, in the background with -d");
-  up->add_flag("-d,--detach", up_options->detach, "run in the background; return when everything is ready");
+  CLI::Option* const detach =
+      up->add_flag("-d,--detach", up_options->detach, "run in the background; return when everything is ready");
   up->add_option("--timeout", up_options->ready_within_s, "with -d: seconds until everything must be ready")
+      ->needs(detach)
       ->check(CLI::Range(0.0, 86400.0));
 }
 

@@ -1,5 +1,4 @@
 #include <fmt/format.h>
-#include <spdlog/sinks/stdout_color_sinks.h>
 #include <spdlog/spdlog.h>
 
 #include <CLI/CLI.hpp>
@@ -13,6 +12,7 @@
 #include <stdexcept>
 
 #include "bus/command_line.h"
+#include "bus/log_sink.h"
 #include "bus/parameter_json.h"
 #include "sim/device_readback.h"
 #include "sim/engine_loop.h"
@@ -231,8 +231,7 @@ int main(int argc, char** argv) {
     if (flags.json) fmt::print("{}\n", splatbus::bus::to_json({}));
     return 0;
   }
-  spdlog::set_default_logger(spdlog::stderr_color_mt(flags.name));
-  spdlog::set_level(spdlog::level::from_str(flags.log_level));
+  splatbus::bus::log_to_stderr(flags.name, flags.log_level);
   handle_signals();
   try {
     run(flags);

@@ -54,11 +54,20 @@ spdlog::sink_ptr make_stderr_sink() {
   return sink;
 }
 
+spdlog::level::level_enum parse_level(const std::string& text) {
+  const auto level = spdlog::level::from_str(text);
+  if (level == spdlog::level::off && text != "off") throw Error(fmt::format("log level '{}' does not exist", text));
+  return level;
+}
+
 }  // namespace
 
+void log_to_stderr(const std::string& name, const std::string& level) {
+  install({make_stderr_sink()}, name, parse_level(level));
+}
+
 void install_logger(const std::shared_ptr<Context>& context, const std::string& level) {
-  const auto parsed = spdlog::level::from_str(level);
-  if (parsed == spdlog::level::off && level != "off") throw Error(fmt::format("log level '{}' does not exist", level));
+  const auto parsed = parse_level(level);
   auto bus_sink = std::make_shared<BusSink>(context);
   bus_sink->set_level(spdlog::level::info);
   install({make_stderr_sink(), std::move(bus_sink)}, context->source(), parsed);

@@ -34,22 +34,20 @@ struct Flags {
   bool successor = false;
 };
 
-void add_flags(CLI::App& app, Flags& flags) {
+void add_flags(CLI::App& app, Flags& flags, const ServiceDescription& description) {
   app.add_option("--bus", flags.address, "bus address, ipc:///folder or tcp://host:port")->envname("SPLATBUS_BUS");
   app.add_option("--key", flags.key, "key file for a bus over tcp, made by 'splatbus keys' (default: SPLATBUS_KEY)");
   app.add_option("--server-key", flags.server_key, "public key of that bus (default: SPLATBUS_SERVER_KEY)");
   app.add_option("--name", flags.name, "name on the bus, unique there")->capture_default_str();
   app.add_option("--set", flags.changes, "set a parameter, name=value (repeatable)")->allow_extra_args(false);
-  app.add_option("--backend", flags.backend, "device to compute on: cpu, cuda or auto")
-      ->envname("SPLATBUS_BACKEND")
-      ->check(CLI::IsMember({"cpu", "cuda", "auto"}))
-      ->capture_default_str();
+  add_backend_and_shorthands(app, description.shorthands, flags.backend, flags.changes);
   app.add_option("--log-level", flags.log_level, "trace, debug, info, warn, error or off")
       ->check(CLI::IsMember({"trace", "debug", "info", "warn", "error", "off"}))
       ->capture_default_str();
   app.add_flag("--successor", flags.successor, "stand by, and take the place of the one of that name when told to");
   app.add_flag("--parameters", flags.list_parameters, "check and print the parameters, and exit");
   app.add_flag("--json", flags.json, "with --parameters: print them as one line of JSON");
+  for (const auto& [flag, help] : description.own_flags) app.add_option(flag, help);
 }
 
 void print_parameters(const Parameters& parameters) {
@@ -171,7 +169,7 @@ int service_main(int argc, char** argv, const ServiceDescription& description,
   CLI::App app(description.summary, "splatbus-" + description.kind);
   Flags flags;
   flags.name = description.kind;
-  add_flags(app, flags);
+  add_flags(app, flags, description);
   if (const auto status = parse_command_line(app, argc, argv)) return *status;
   Parameters parameters(description.parameters);
   const auto problems = set_parameters(parameters, flags.changes, description);
@@ -185,6 +183,7 @@ int service_main(int argc, char** argv, const ServiceDescription& description,
     print_parameters(parameters);
     return 0;
   }
+  log_to_stderr(flags.name, flags.log_level);
   Address address;
   try {
     address = flags.address.empty() ? Address::from_environment() : Address::parse(flags.address);

@@ -9,11 +9,13 @@
 #include <stop_token>
 #include <string>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #include "bus/backend.h"
 #include "bus/context.h"
 #include "bus/parameters.h"
+#include "bus/shorthand.h"
 
 namespace splatbus::bus {
 
@@ -64,6 +66,9 @@ struct ServiceDescription {
   std::string kind;     ///< "trainer"
   std::string summary;  ///< one line for --help
   std::vector<ParameterSpec> parameters;
+  std::vector<Shorthand> shorthands{};
+  /// Flags that the program's own main takes, and what --help says of them.
+  std::vector<std::pair<std::string, std::string>> own_flags{};
   /// Throws Error when parameters that are good each for itself do not go together.
   std::function<void(const Parameters&)> check{};
   /// `run` calls ServiceContext::take_over() itself, so that a successor can get ready beside the one before. Of all

@@ -1,5 +1,4 @@
 #include <fmt/format.h>
-#include <spdlog/sinks/stdout_sinks.h>
 #include <spdlog/spdlog.h>
 
 #include <CLI/CLI.hpp>
@@ -14,6 +13,7 @@
 #include "bus/command_line.h"
 #include "bus/connection_guard.h"
 #include "bus/error.h"
+#include "bus/log_sink.h"
 #include "bus/parameter_json.h"
 #include "bus/permanent_error.h"
 #include "bus/service.h"
@@ -53,10 +53,7 @@ void start(splatbus::bus_service::Broker& broker, const std::stop_source& stop) 
 int run(const splatbus::bus_service::BrokerOptions& options, const std::string& tcp, const std::string& log_level) {
   std::stop_source stop;
   const splatbus::bus::StopSignals signals(stop);
-  spdlog::set_default_logger(spdlog::stderr_logger_mt("bus"));
-  // A supervisor writes time and name itself.
-  spdlog::set_pattern(splatbus::bus::is_supervised() ? "[%l] %v" : "[%H:%M:%S.%e] [%n] [%l] %v");
-  spdlog::set_level(spdlog::level::from_str(log_level));
+  splatbus::bus::log_to_stderr("bus", log_level);
 
   splatbus::bus::raise_descriptor_limit();
   splatbus::bus_service::Broker broker(options);

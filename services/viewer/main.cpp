@@ -5,19 +5,21 @@
 #include <CLI/CLI.hpp>
 #include <chrono>
 #include <cstdio>
-#include <deque>
 #include <exception>
 #include <functional>
 #include <memory>
 #include <string>
 #include <string_view>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #include "bus/clock.h"
 #include "bus/command_line.h"
 #include "bus/error.h"
+#include "bus/log_sink.h"
 #include "bus/service.h"
+#include "bus/shorthand.h"
 #include "gl/context.h"
 #include "stream/streamer_choice.h"
 #include "viewer/gl/flight.h"
@@ -25,6 +27,16 @@
 #include "viewer/viewer.h"
 
 namespace {
+
+const std::vector<splatbus::bus::Shorthand> kShorthands{
+    {"--window", "window=true", "show a window (short for --set window=true)"},
+    {"--probe", "probe=true", "compare pictures with the engine's (short for --set probe=true)"},
+    {"--record", "packet_log=", "file for the packets that come (short for --set packet_log=FILE)"},
+    {"--backend gl", "opengl=true", "draw with OpenGL (short for --set opengl=true)"}};
+const std::vector<std::pair<std::string, std::string>> kWithoutABus{
+    {"--connect", "streamer or gateway elsewhere, without a bus; --connect X --help has the options that go with it"},
+    {"--replay", "packet log to play, without a bus"},
+    {"--bench", "seconds of a fixed flight through OpenGL to measure, without a bus or a window"}};
 
 void run_on_bus(splatbus::bus::ServiceContext& service) {
   std::string endpoint = service.parameters.read<splatbus::viewer::Options>().endpoint;
@@ -135,14 +147,11 @@ int standalone_main(int argc, char** argv) {
       "--ca", [&](const std::string& file) { changes.push_back("ca=" + file); },
       "PEM file of the authority that signed the gateway's certificate (default: those the system trusts)");
   app.add_option("--set", changes, "set a parameter, name=value (repeatable)")->allow_extra_args(false);
-  app.add_option("--backend", backend, "renderer: cpu, cuda, auto, or gl for OpenGL")
-      ->envname("SPLATBUS_BACKEND")
-      ->check(CLI::IsMember({"cpu", "cuda", "auto"}))
-      ->capture_default_str();
+  splatbus::bus::add_backend_and_shorthands(app, kShorthands, backend, changes);
   app.add_option("--log-level", log_level, "trace, debug, info, warn, error or off")->capture_default_str();
   if (const auto status = splatbus::bus::parse_command_line(app, argc, argv)) return *status;
   try {
-    spdlog::set_level(spdlog::level::from_str(log_level));
+    splatbus::bus::log_to_stderr(name, log_level);
     splatbus::bus::Parameters parameters(splatbus::bus::Parameters::declare<splatbus::viewer::Options>());
     if (!endpoint.empty()) changes.push_back("endpoint=" + endpoint);
     for (const std::string& change : changes) {
@@ -186,55 +195,18 @@ int standalone_main(int argc, char** argv) {
 }  // namespace
 
 int main(int argc, char** argv) {
-  // Short for --set probe=true, --set window=true, --set opengl=true and --set packet_log=FILE.
-  std::vector<char*> arguments;
-  char set[] = "--set", probe[] = "probe=true", window[] = "window=true", opengl[] = "opengl=true";
-  std::deque<std::string> packet_logs;  // where each lies stays
-  bool standalone = false;
-  const char* const backend = std::getenv("SPLATBUS_BACKEND");
-  const bool opengl_wanted = backend != nullptr && std::string_view(backend) == "gl";
-  if (opengl_wanted) ::unsetenv("SPLATBUS_BACKEND");
-  for (int i = 0; i < argc; ++i) {
+  for (int i = 1; i < argc; ++i) {
     const std::string_view argument = argv[i];
-    constexpr std::string_view kRecord = "--record=";
-    for (const std::string_view alone : {"--connect", "--replay", "--bench"}) {
-      standalone = standalone || argument.starts_with(alone);
-    }
-    if (argument == "--record" && i + 1 < argc) {
-      packet_logs.push_back(std::string("packet_log=") + argv[++i]);
-      arguments.push_back(set);
-      arguments.push_back(packet_logs.back().data());
-    } else if (argument.starts_with(kRecord)) {
-      packet_logs.push_back("packet_log=" + std::string(argument.substr(kRecord.size())));
-      arguments.push_back(set);
-      arguments.push_back(packet_logs.back().data());
-    } else if (argument == "--backend=gl") {
-      arguments.push_back(set);
-      arguments.push_back(opengl);
-    } else if (argument == "--backend" && i + 1 < argc && std::string_view(argv[i + 1]) == "gl") {
-      ++i;
-      arguments.push_back(set);
-      arguments.push_back(opengl);
-    } else if (argument == "--probe" || argument == "--window") {
-      arguments.push_back(set);
-      arguments.push_back(argument == "--probe" ? probe : window);
-    } else {
-      arguments.push_back(argv[i]);
+    for (const auto& [flag, help] : kWithoutABus) {
+      if (argument == flag || argument.starts_with(flag + "=")) return standalone_main(argc, argv);
     }
   }
-  if (opengl_wanted) {
-    arguments.push_back(set);
-    arguments.push_back(opengl);
-  }
-  const auto count = static_cast<int>(arguments.size());
-  if (standalone) return standalone_main(count, arguments.data());
   const splatbus::bus::ServiceDescription description{
       .kind = "viewer",
-      .summary =
-          "Shows the Gaussian model. Short for parameters: --window, --probe, --record FILE, --backend gl. Without a "
-          "bus: --connect ENDPOINT (a streamer or gateway elsewhere), --replay FILE, --bench SECONDS; add --help to "
-          "one of these for its options",
+      .summary = "Shows the Gaussian model",
       .parameters = splatbus::bus::Parameters::declare<splatbus::viewer::Options>(),
+      .shorthands = kShorthands,
+      .own_flags = kWithoutABus,
   };
-  return splatbus::bus::service_main(count, arguments.data(), description, run_on_bus);
+  return splatbus::bus::service_main(argc, argv, description, run_on_bus);
 }

@@ -3,13 +3,19 @@
 #include <gmock/gmock.h>
 
 #include <CLI/CLI.hpp>
+#include <cstdlib>
+#include <optional>
 #include <string>
 #include <vector>
+
+#include "bus/shorthand.h"
 
 namespace splatbus::cli {
 namespace {
 
+using testing::ElementsAre;
 using testing::HasSubstr;
+using testing::IsEmpty;
 using testing::Not;
 
 struct Outcome {
@@ -82,6 +88,50 @@ TEST(CommandLine, RangesAreWrittenAsOneWouldSayThem) {
   EXPECT_THAT(parse({"launch", "--rate", "5"}).error, HasSubstr("--rate: must be from 0.5 to 4, not '5'\n"));
   EXPECT_THAT(parse({"launch", "--wait", "0"}).error, HasSubstr("--wait: must be more than 0, not '0'\n"));
   EXPECT_EQ(parse({"launch", "--rate", "5"}).status, 2);
+}
+
+struct Short {
+  std::optional<int> status;
+  std::string backend = "auto";
+  std::vector<std::string> changes;
+};
+
+Short parse_short(std::vector<const char*> arguments) {
+  const std::vector<bus::Shorthand> flags{{"--window", "window=true", "a window"},
+                                          {"--record", "packet_log=", "a file"},
+                                          {"--backend gl", "opengl=true", "OpenGL"}};
+  CLI::App app("what it is", "prog");
+  Short result;
+  bus::add_backend_and_shorthands(app, flags, result.backend, result.changes);
+  arguments.insert(arguments.begin(), "prog");
+  testing::internal::CaptureStderr();
+  result.status = bus::parse_command_line(app, static_cast<int>(arguments.size()), arguments.data());
+  static_cast<void>(testing::internal::GetCapturedStderr());
+  return result;
+}
+
+TEST(Shorthands, AreSettingsInWhateverWayTheyAreWritten) {
+  for (const std::vector<const char*>& record : {std::vector{"--record", "a=b.log"}, std::vector{"--record=a=b.log"}}) {
+    EXPECT_THAT(parse_short(record).changes, ElementsAre("packet_log=a=b.log"));
+  }
+  for (const std::vector<const char*>& gl : {std::vector{"--backend", "gl"}, std::vector{"--backend=gl"}}) {
+    const Short given = parse_short(gl);
+    EXPECT_THAT(given.changes, ElementsAre("opengl=true"));
+    EXPECT_EQ(given.backend, "auto");
+  }
+  EXPECT_THAT(parse_short({"--window"}).changes, ElementsAre("window=true"));
+  EXPECT_EQ(parse_short({"--backend", "cuda"}).backend, "cuda");
+  EXPECT_THAT(parse_short({"--backend", "cuda"}).changes, IsEmpty());
+  EXPECT_EQ(parse_short({"--backend", "vulkan"}).status, 2);
+}
+
+TEST(Shorthands, OfABackendGoIntoTheEnvironmentToo) {
+  ::setenv("SPLATBUS_BACKEND", "gl", 1);
+  const Short given = parse_short({});
+  ::unsetenv("SPLATBUS_BACKEND");
+  EXPECT_EQ(given.status, std::nullopt);
+  EXPECT_THAT(given.changes, ElementsAre("opengl=true"));
+  EXPECT_EQ(given.backend, "auto");
 }
 
 }  // namespace

@@ -31,6 +31,14 @@ TEST_F(TopicEcho, SaysThatNothingIsPublishedThere) {
   EXPECT_THAT(mistyped.out, IsEmpty());
   EXPECT_THAT(mistyped.err, HasSubstr("nothing has been published on 'test/nmuber'; did you mean 'test/number'?"));
   EXPECT_THAT(mistyped.err, HasSubstr("on 'elsewhere/*'; 'splatbus topic list' shows what has"));
+  for (const std::string verb : {"hz", "bw", "delay", "info"}) {
+    std::vector<std::string> arguments{"topic", verb, "test/nmuber", "--bus", directory_.address().text()};
+    if (verb != "info") arguments.insert(arguments.end(), {"--seconds", "2.5"});
+    const Ran other = run_to_end(add_topic_verb, arguments);
+    EXPECT_EQ(other.status, 1) << verb;
+    EXPECT_THAT(other.err, HasSubstr("splatbus topic " + verb +
+                                     ": nothing has been published on 'test/nmuber'; did you mean 'test/number'?"));
+  }
   // A topic that is only silent at the moment is no typing mistake.
   const Ran silent = echo({"test/number", "--seconds", "1"});
   EXPECT_EQ(silent.status, 1);
