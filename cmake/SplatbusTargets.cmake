@@ -179,7 +179,8 @@ endfunction()
 
 # splatbus_single_source(TARGET a.cu ...): sources that are written once for both devices (device/parallel.h). In a build
 # with CUDA nvcc compiles them for the host and the device, in one without they are C++. Neither fuses multiplications
-# with additions, so that both devices round alike.
+# with additions, so that both devices round alike. Where sources are joined, these are, in one: no two of a target have a
+# name of their own in common.
 function(splatbus_single_source target)
   set(sources ${ARGN})
   list(LENGTH sources count)

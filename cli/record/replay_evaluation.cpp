@@ -101,7 +101,8 @@ class Replay {
     }
     if (!failure.empty()) throw std::runtime_error(failure);
     // What the pace has heard the watch may not have heard yet.
-    while (paced && pace.given_up() == 0 && watch_.state().trainer.step < pace.recorded_steps()) step(signals);
+    const std::int64_t heard_by_ns = bus::now_ns() + kMapPatienceNs;
+    while (paced && watch_.state().trainer.step < pace.recorded_steps() && bus::now_ns() < heard_by_ns) step(signals);
     if (figures_.empty()) throw std::runtime_error("no capture/probe in the recording could be compared");
     const FigureSummary summary = summarize(last_round(figures_));
     const auto& trainer = watch_.state().trainer;

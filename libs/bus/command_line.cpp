@@ -49,6 +49,7 @@ bool takes_words(const CLI::App& app) {
 /// The first word that is no verb or option where it stands, in a message; empty when all of them are.
 std::string unknown_word(const CLI::App& app, int argc, const char* const* argv) {
   const CLI::App* verb = &app;
+  std::string maybe;  // of what may be a word that the verb takes
   for (int i = 1; i < argc; ++i) {
     const std::string word = argv[i];
     if (word == "--") break;
@@ -74,12 +75,16 @@ std::string unknown_word(const CLI::App& app, int argc, const char* const* argv)
       for (const CLI::App* candidate : verb->get_subcommands([](const CLI::App*) { return true; })) {
         if (candidate->get_name() == word) found = candidate;
       }
-      if (found == nullptr && takes_words(*verb)) continue;
+      if (found == nullptr && takes_words(*verb)) {
+        if (maybe.empty() && !nearest(word, verbs).empty())
+          maybe = fmt::format("unknown verb '{}'{}", word, suggestion(word, verbs));
+        continue;
+      }
       if (found == nullptr) return fmt::format("unknown verb '{}'{}", word, suggestion(word, verbs));
       verb = found;
     }
   }
-  return {};
+  return maybe;
 }
 
 std::string short_number(std::string_view text) {

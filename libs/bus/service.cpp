@@ -28,7 +28,7 @@ struct Flags {
   std::string name;
   std::string log_level = "info";
   std::string backend = "auto";
-  std::vector<std::string> changes;
+  std::vector<std::string> changes, shorthands;
   bool list_parameters = false;
   bool json = false;
   bool successor = false;
@@ -40,14 +40,14 @@ void add_flags(CLI::App& app, Flags& flags, const ServiceDescription& descriptio
   app.add_option("--server-key", flags.server_key, "public key of that bus (default: SPLATBUS_SERVER_KEY)");
   app.add_option("--name", flags.name, "name on the bus, unique there")->capture_default_str();
   app.add_option("--set", flags.changes, "set a parameter, name=value (repeatable)")->allow_extra_args(false);
-  add_backend_and_shorthands(app, description.shorthands, flags.backend, flags.changes);
+  add_backend_and_shorthands(app, description.shorthands, flags.backend, flags.shorthands);
   app.add_option("--log-level", flags.log_level, "trace, debug, info, warn, error or off")
       ->check(CLI::IsMember({"trace", "debug", "info", "warn", "error", "off"}))
       ->capture_default_str();
   app.add_flag("--successor", flags.successor, "stand by, and take the place of the one of that name when told to");
   app.add_flag("--parameters", flags.list_parameters, "check and print the parameters, and exit");
   app.add_flag("--json", flags.json, "with --parameters: print them as one line of JSON");
-  for (const auto& [flag, help] : description.own_flags) app.add_option(flag, help);
+  for (const OwnFlag& own : description.own_flags) app.add_option(own.flag, own.help)->type_name(own.value);
 }
 
 void print_parameters(const Parameters& parameters) {
@@ -171,6 +171,8 @@ int service_main(int argc, char** argv, const ServiceDescription& description,
   flags.name = description.kind;
   add_flags(app, flags, description);
   if (const auto status = parse_command_line(app, argc, argv)) return *status;
+  // What --set says of the same parameter is said of it alone, and holds.
+  flags.changes.insert(flags.changes.begin(), flags.shorthands.begin(), flags.shorthands.end());
   Parameters parameters(description.parameters);
   const auto problems = set_parameters(parameters, flags.changes, description);
   if (flags.list_parameters && flags.json) {

@@ -9,7 +9,6 @@
 #include <stop_token>
 #include <string>
 #include <thread>
-#include <utility>
 #include <vector>
 
 #include "bus/backend.h"
@@ -62,13 +61,17 @@ class ServiceContext {
 /// What a successor of that name calls itself while it stands by.
 [[nodiscard]] std::string successor_name(const std::string& name);
 
+/// A flag that a program's own main takes before service_main() sees it, for --help.
+struct OwnFlag {
+  std::string flag, value, help;  ///< "--replay", "FILE"
+};
+
 struct ServiceDescription {
   std::string kind;     ///< "trainer"
   std::string summary;  ///< one line for --help
   std::vector<ParameterSpec> parameters;
   std::vector<Shorthand> shorthands{};
-  /// Flags that the program's own main takes, and what --help says of them.
-  std::vector<std::pair<std::string, std::string>> own_flags{};
+  std::vector<OwnFlag> own_flags{};
   /// Throws Error when parameters that are good each for itself do not go together.
   std::function<void(const Parameters&)> check{};
   /// `run` calls ServiceContext::take_over() itself, so that a successor can get ready beside the one before. Of all

@@ -17,10 +17,11 @@ struct Shorthand {
   std::string help;
 };
 
-/// Adds those flags to the command line; what is given of them is appended to `changes` as it is parsed. --backend is
-/// added too, with SPLATBUS_BACKEND for its default: one of its shorthands leaves `backend` at auto. All stay as long
-/// as the command line is parsed.
+/// Adds those flags, and --backend, to the command line. As it is parsed the settings of those that are given are
+/// appended to `settings`, which is no list of --set's own: that one is emptied by what is parsed, and goes before.
+/// `backend` becomes what --backend or SPLATBUS_BACKEND says of a device, whatever of its shorthands is given besides.
+/// All of these stay as long as the command line is parsed.
 void add_backend_and_shorthands(CLI::App& app, const std::vector<Shorthand>& flags, std::string& backend,
-                                std::vector<std::string>& changes);
+                                std::vector<std::string>& settings);
 
 }  // namespace splatbus::bus

@@ -11,7 +11,6 @@
 #include <string>
 #include <string_view>
 #include <thread>
-#include <utility>
 #include <vector>
 
 #include "bus/clock.h"
@@ -33,10 +32,17 @@ const std::vector<splatbus::bus::Shorthand> kShorthands{
     {"--probe", "probe=true", "compare pictures with the engine's (short for --set probe=true)"},
     {"--record", "packet_log=", "file for the packets that come (short for --set packet_log=FILE)"},
     {"--backend gl", "opengl=true", "draw with OpenGL (short for --set opengl=true)"}};
-const std::vector<std::pair<std::string, std::string>> kWithoutABus{
-    {"--connect", "streamer or gateway elsewhere, without a bus; --connect X --help has the options that go with it"},
-    {"--replay", "packet log to play, without a bus"},
-    {"--bench", "seconds of a fixed flight through OpenGL to measure, without a bus or a window"}};
+/// Of one without a bus: of one on a bus they are the bus's.
+const std::vector<splatbus::bus::Shorthand> kDoors{
+    {"--key", "key=", "key file for a streamer on another machine, made by 'splatbus keys' (default: SPLATBUS_KEY)"},
+    {"--server-key", "server_key=", "public key of that streamer (default: SPLATBUS_SERVER_KEY)"},
+    {"--token", "token=", "token for a gateway (default: the one in the address, or SPLATBUS_TOKEN)"},
+    {"--ca",
+     "ca=", "PEM file of the authority that signed the gateway's certificate (default: those the system trusts)"}};
+const std::vector<splatbus::bus::OwnFlag> kWithoutABus{
+    {"--connect", "ADDRESS", "show a streamer or gateway elsewhere, without a bus; with --help after it: its options"},
+    {"--replay", "FILE", "play a packet log, without a bus"},
+    {"--bench", "SECONDS", "measure a fixed flight through OpenGL, without a bus or a window"}};
 
 void run_on_bus(splatbus::bus::ServiceContext& service) {
   std::string endpoint = service.parameters.read<splatbus::viewer::Options>().endpoint;
@@ -115,7 +121,7 @@ void report_detail(const std::string& text, std::string& said, std::int64_t& sai
 int standalone_main(int argc, char** argv) {
   CLI::App app("Shows a stream without a bus", "splatbus-viewer");
   std::string endpoint, name = fmt::format("viewer-{}", ::getpid()), log_level = "info", backend = "auto";
-  std::vector<std::string> changes;
+  std::vector<std::string> settings, changes;
   std::string log;
   double bench_s = 0;
   std::size_t bench_gaussians = 1'000'000;
@@ -134,27 +140,18 @@ int standalone_main(int argc, char** argv) {
       ->check(CLI::Range(0.0, 1e8))
       ->capture_default_str();
   app.add_option("--name", name, "name that the streamer is told")->capture_default_str();
-  app.add_option_function<std::string>(
-      "--key", [&](const std::string& file) { changes.push_back("key=" + file); },
-      "key file for a streamer on another machine, made by 'splatbus keys' (default: SPLATBUS_KEY)");
-  app.add_option_function<std::string>(
-      "--server-key", [&](const std::string& key) { changes.push_back("server_key=" + key); },
-      "public key of that streamer (default: SPLATBUS_SERVER_KEY)");
-  app.add_option_function<std::string>(
-      "--token", [&](const std::string& token) { changes.push_back("token=" + token); },
-      "token for a gateway (default: the one in the address, or SPLATBUS_TOKEN)");
-  app.add_option_function<std::string>(
-      "--ca", [&](const std::string& file) { changes.push_back("ca=" + file); },
-      "PEM file of the authority that signed the gateway's certificate (default: those the system trusts)");
   app.add_option("--set", changes, "set a parameter, name=value (repeatable)")->allow_extra_args(false);
-  splatbus::bus::add_backend_and_shorthands(app, kShorthands, backend, changes);
+  std::vector<splatbus::bus::Shorthand> flags = kShorthands;
+  flags.insert(flags.end(), kDoors.begin(), kDoors.end());
+  splatbus::bus::add_backend_and_shorthands(app, flags, backend, settings);
   app.add_option("--log-level", log_level, "trace, debug, info, warn, error or off")->capture_default_str();
   if (const auto status = splatbus::bus::parse_command_line(app, argc, argv)) return *status;
   try {
     splatbus::bus::log_to_stderr(name, log_level);
     splatbus::bus::Parameters parameters(splatbus::bus::Parameters::declare<splatbus::viewer::Options>());
     if (!endpoint.empty()) changes.push_back("endpoint=" + endpoint);
-    for (const std::string& change : changes) {
+    settings.insert(settings.end(), changes.begin(), changes.end());
+    for (const std::string& change : settings) {
       const auto equals = change.find('=');
       const std::string problem = equals == std::string::npos
                                       ? fmt::format("--set '{}': expected name=value", change)
@@ -197,8 +194,8 @@ int standalone_main(int argc, char** argv) {
 int main(int argc, char** argv) {
   for (int i = 1; i < argc; ++i) {
     const std::string_view argument = argv[i];
-    for (const auto& [flag, help] : kWithoutABus) {
-      if (argument == flag || argument.starts_with(flag + "=")) return standalone_main(argc, argv);
+    for (const splatbus::bus::OwnFlag& own : kWithoutABus) {
+      if (argument == own.flag || argument.starts_with(own.flag + "=")) return standalone_main(argc, argv);
     }
   }
   const splatbus::bus::ServiceDescription description{

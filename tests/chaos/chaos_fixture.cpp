@@ -55,6 +55,7 @@ void ChaosTest::begin() {
   ASSERT_TRUE(pipeline_.wait_until([&] {
     return pipeline_.usage().slabs > 0 && pipeline_.samples().size() >= std::size_t{8} * kViews;
   })) << pipeline_.log();
+  level_ = pipeline_.samples().back().level;
   at_the_start_ = pipeline_.usage();
   log_bytes_ = pipeline_.log_bytes();
 }
@@ -62,9 +63,9 @@ void ChaosTest::begin() {
 double ChaosTest::level_before() const {
   std::vector<double> lately;
   for (const auto& sample : pipeline_.samples()) {
-    if (sample.time_ns > bus::now_ns() - kBeforeNs) lately.push_back(sample.level);
+    if (sample.time_ns > std::max(over_ns_, bus::now_ns() - kBeforeNs)) lately.push_back(sample.level);
   }
-  if (lately.empty()) return kSsim;
+  if (lately.empty()) return level_;
   std::ranges::sort(lately);
   return lately[lately.size() / 4];
 }
@@ -79,7 +80,12 @@ std::vector<std::uint64_t> ChaosTest::whole_model() {
 }
 
 ChaosTest::Before ChaosTest::look() {
-  return {.level = level_before(), .ids = whole_model(), .first_sample = pipeline_.samples().size()};
+  level_ = level_before();
+  return {.level = level_,
+          .ids = whole_model(),
+          .first_sample = pipeline_.samples().size(),
+          .trainer = pipeline_.pids().at("trainer"),
+          .model_epoch = pipeline_.model_epoch()};
 }
 
 void ChaosTest::expect_it_comes_back(const Before& before, const std::map<std::string, pid_t>& killed, double loss,
@@ -93,6 +99,12 @@ void ChaosTest::expect_it_comes_back(const Before& before, const std::map<std::s
     FAIL() << text << "\n" << pipeline_.log();
   }
   const double back_s = static_cast<double>(bus::now_ns() - over_ns) * 1e-9;
+  // Else the old one's model is there still, for whoever has it.
+  ASSERT_TRUE(pipeline_.wait_until([&] {
+    return pipeline_.pids().at("trainer") == before.trainer || pipeline_.model_epoch() != before.model_epoch;
+  })) << "another trainer has published nothing\n"
+      << pipeline_.log();
+  pipeline_.let_pass(100ms);
   double least = pipeline_.ssim();
   for (std::size_t k = before.first_sample; k < pipeline_.samples().size(); ++k) {
     least = std::min(least, pipeline_.samples()[k].level);
@@ -107,6 +119,7 @@ void ChaosTest::expect_it_comes_back(const Before& before, const std::map<std::s
   EXPECT_LT(back_s, chaos_options().recover_s);
   EXPECT_GT(part, kKept) << "Gaussians were lost";
   EXPECT_LT(more, kMore) << "there are more of them than can have come";
+  over_ns_ = bus::now_ns();
   ++faults_;
   late_ += back_s > chaos_options().recover_s ? 1 : 0;
   sum_s_ += back_s;
@@ -121,10 +134,12 @@ void ChaosTest::expect_a_good_end() {
     chaos_options().samples << static_cast<double>(sample.time_ns - pipeline_.samples()[0].time_ns) * 1e-9 << " "
                             << sample.level << "\n";
   }
-  std::printf("%d faults, %d of them late; back after %.2f s in the mean, %.1f s at most; of the Gaussians at least "
-              "%.4f kept, at most %.3f times as many\n",
-              faults_, late_, sum_s_ / std::max(1, faults_), slowest_s_, least_kept_, most_more_);
+  std::printf(
+      "%d faults, %d of them late; back after %.2f s in the mean, %.1f s at most; of the Gaussians at least "
+      "%.4f kept, at most %.3f times as many\n",
+      faults_, late_, sum_s_ / std::max(1, faults_), slowest_s_, least_kept_, most_more_);
   (void)whole_model();
+  EXPECT_TRUE(pipeline_.wait_until_well(kSsim, {})) << pipeline_.log();
   expect_nothing_left();
   EXPECT_EQ(pipeline_.stop(), std::set<std::string>()) << "it outlives its supervisor";
 }

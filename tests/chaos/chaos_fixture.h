@@ -42,14 +42,14 @@ class ChaosTest : public testing::Test {
 
   /// Waits until there are pictures, and what everybody takes.
   void begin();
-  /// What the pictures were worth lately: the lower quartile, for the sun turns and training is no constant.
-  [[nodiscard]] double level_before() const;
 
   /// Before something happens ...
   struct Before {
     double level = 0;
     std::vector<std::uint64_t> ids;
     std::size_t first_sample = 0;
+    pid_t trainer = 0;
+    std::uint64_t model_epoch = 0;
   };
   [[nodiscard]] Before look();
   /// ... and after it: waits until those that were killed are others and the pictures are worth no more than `loss`
@@ -62,11 +62,16 @@ class ChaosTest : public testing::Test {
   PipelineUnderFire pipeline_;
 
  private:
+  /// What the pictures were worth lately, after what happened last was over: the lower quartile, for the sun turns and
+  /// training is no constant. Where there are none, what they were to be worth then.
+  [[nodiscard]] double level_before() const;
   /// Of the model as it is, ascending.
   std::vector<std::uint64_t> whole_model();
   void expect_nothing_left();
 
   Usage at_the_start_;
+  std::int64_t over_ns_ = 0;
+  double level_ = kSsim;
   std::size_t log_bytes_ = 0;
   int faults_ = 0, late_ = 0;
   double slowest_s_ = 0, sum_s_ = 0, least_kept_ = 1, most_more_ = 0;

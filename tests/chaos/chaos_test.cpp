@@ -89,6 +89,7 @@ TEST_F(Chaos, ThePictureComesBackAndNothingIsLeftBehind) {
   for (int number = 0; bus::now_ns() < end_ns; ++number) {
     Fault fault = choose(random);
     for (int k = 0; k < 1000 && fault.name.find(options.only) == std::string::npos; ++k) fault = choose(random);
+    ASSERT_NE(fault.name.find(options.only), std::string::npos) << "there is no such fault";
     SCOPED_TRACE("seed " + std::to_string(options.seed) + ", fault " + std::to_string(number) + ": " + fault.name);
     const bool all = hits(fault, PipelineUnderFire::kSupervisor);
     const Before before = look();

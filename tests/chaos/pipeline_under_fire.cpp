@@ -43,7 +43,8 @@ PipelineUnderFire::PipelineUnderFire(const std::string& launch_file, int held_ou
       probes_(std::make_unique<cli::ProbeRounds>(
           context_, cli::circle_cameras({.count = held_out, .size = 64, .phase_degrees = 45}))),
       scene_(std::make_unique<LiveScene>(context_)),
-      heartbeats_(std::make_unique<bus::Subscriber>(context_, std::vector<std::string>{"sys/heartbeat"})) {
+      heartbeats_(
+          std::make_unique<bus::Subscriber>(context_, std::vector<std::string>{"sys/heartbeat", "model/published"})) {
   std::ofstream(files_.path() / "chaos.yaml") << launch_file;
   start();
 }
@@ -87,6 +88,10 @@ void PipelineUnderFire::poll(std::chrono::milliseconds timeout) {
   probes_->poll(0ms, [](std::size_t, const cli::ProbePicture&) {});
   take_sample();
   while (const auto message = heartbeats_->receive(0ms)) {
+    if (message->topic() == "model/published") {
+      model_epoch_ = message->header().epoch();
+      continue;
+    }
     if (message->header().resent()) continue;  // of who may be gone
     const auto& heartbeat = message->root<wire::Heartbeat>();
     const std::string source = message->header().source()->str();

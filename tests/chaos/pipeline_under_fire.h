@@ -70,6 +70,8 @@ class PipelineUnderFire {
   [[nodiscard]] const std::vector<Sample>& samples() const { return samples_; }
 
   [[nodiscard]] Usage usage() const;
+  /// Of the trainer that has published the newest model.
+  [[nodiscard]] std::uint64_t model_epoch() const { return model_epoch_; }
   [[nodiscard]] const cli::PipelineState& state() const { return watch_->state(); }
   /// Of the last pictures of wait_until_well().
   [[nodiscard]] double ssim() const { return ssim_; }
@@ -104,6 +106,7 @@ class PipelineUnderFire {
   std::unique_ptr<cli::ChildProcess> supervisor_;
   std::map<std::string, Node> nodes_;
   double slabs_ = 0, ssim_ = 0;
+  std::uint64_t model_epoch_ = 0;
   bool sampling_ = false;
   std::int64_t sampled_ns_ = 0;
   std::uint64_t newest_sample_ = 0;            ///< probe

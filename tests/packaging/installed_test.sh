@@ -11,7 +11,7 @@ fail() { echo "FAILED: $*" >&2; exit 1; }
 root="$work/root"
 mkdir -p "$root"/var/lib/dpkg/{info,updates,triggers} "$root/etc"
 touch "$root"/var/lib/dpkg/{status,available}
-in_root=(dpkg --root="$root" --force-depends --force-script-chrootless --no-triggers)
+in_root=(dpkg --root="$root" --force-depends --force-script-chrootless --no-triggers --path-include="*")
 if [ "$EUID" -eq 0 ]; then
   "${in_root[@]}" -i "$work"/debs/*.deb >"$work/log" 2>&1 || { cat "$work/log" >&2; fail "dpkg -i"; }
 else  # files can be unpacked by anybody, and be nobody's
@@ -19,7 +19,7 @@ else  # files can be unpacked by anybody, and be nobody's
 fi
 packages="$(for deb in "$work"/debs/*.deb; do dpkg-deb -f "$deb" Package; done)"
 for package in $(for deb in "$work"/debs/*.deb; do dpkg-deb -f "$deb" Depends; done | tr ',' '\n' | sed 's/[|(].*//'); do
-  grep -qx "$package" <<<"$packages" || dpkg-query -W "$package" >/dev/null || fail "it depends on $package, without which it was built"
+  grep -qx "$package" <<<"$packages" || dpkg-query -W -f '${db:Status-Status}' "$package" | grep -qx installed || fail "it depends on $package, without which it was built"
 done
 PATH="$root/usr/bin:$PATH"
 
@@ -27,7 +27,7 @@ exported="$(nm -D --defined-only "$root/usr/lib/libsplatbus-engine.so.1" | awk '
 [ -n "$exported" ] && ! grep -qv '^splatbus_engine_' <<<"$exported" || fail "it exports: $exported"
 
 [ "$(wc -l <"$source/examples/engine_c/engine_c.c")" -lt 100 ] || fail "the example has 100 lines or more"
-export PKG_CONFIG_PATH="$root/usr/lib/pkgconfig" PKG_CONFIG_SYSROOT_DIR="$root" LD_LIBRARY_PATH="$root/usr/lib"
+export PKG_CONFIG_PATH="$root/usr/lib/pkgconfig" LD_LIBRARY_PATH="$root/usr/lib"
 read -ra flags < <(pkg-config --cflags --libs splatbus-engine)
 cc -Wall -Wextra -Werror -o "$work/by_pkg_config" "$source/examples/engine_c/engine_c.c" "${flags[@]}" -lm
 cmake -S "$source/examples/engine_c" -B "$work/example" -DCMAKE_PREFIX_PATH="$root/usr" >/dev/null

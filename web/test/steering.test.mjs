@@ -390,7 +390,8 @@ test('two fingers pan, and pinch while they do', () =>
       await touch('touchEnd');
       await reaches(page, { distance: 2 * kStart.distance, yaw: kStart.yaw });
       const { target } = await goal(page);
-      assert.ok(Math.abs(Math.hypot(...target) - 15 * metresAPixel) < 1e-6, `${target}`);
+      // A frame may come between the events of the two: then one of them is followed first, which is a pixel's matter.
+      assert.ok(Math.abs(Math.hypot(...target) - 15 * metresAPixel) < 1.5 * metresAPixel, `${target}`);
     },
     { hasTouch: true },
   ));

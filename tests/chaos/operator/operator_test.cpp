@@ -100,7 +100,6 @@ TEST_F(OperatorChaos, ThePictureComesBackAndNothingIsLeftBehind) {
     const cli::Answer answer = pipeline_.operate({"scale", one});
     EXPECT_TRUE(answer.status.success()) << testing::PrintToString(answer.lines);
   }
-  ASSERT_TRUE(pipeline_.wait_until_well(kSsim, {})) << pipeline_.log();
   expect_a_good_end();
 }
 

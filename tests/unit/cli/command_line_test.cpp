@@ -73,6 +73,7 @@ TEST(CommandLine, MistypedWordsGetTheNearestAndStatusTwo) {
       {{"launch", "--zzzzzzz"}, "unknown option '--zzzzzzz'\n"},
       {{"save", "a.ply", "--formt", "ply"}, "unknown option '--formt'; did you mean '--format'?"},
       {{"save", "-f", "ply", "--formt", "ply"}, "unknown option '--formt'; did you mean '--format'?"},
+      {{"save", "al", "a.yaml"}, "unknown verb 'al'; did you mean 'all'?"},
       {{}, "give a verb"},
       {{"topic"}, "give a verb"}};
   for (const auto& [arguments, text] : cases) {
@@ -93,7 +94,7 @@ TEST(CommandLine, RangesAreWrittenAsOneWouldSayThem) {
 struct Short {
   std::optional<int> status;
   std::string backend = "auto";
-  std::vector<std::string> changes;
+  std::vector<std::string> changes, set;
 };
 
 Short parse_short(std::vector<const char*> arguments) {
@@ -102,6 +103,7 @@ Short parse_short(std::vector<const char*> arguments) {
                                           {"--backend gl", "opengl=true", "OpenGL"}};
   CLI::App app("what it is", "prog");
   Short result;
+  app.add_option("--set", result.set)->allow_extra_args(false);
   bus::add_backend_and_shorthands(app, flags, result.backend, result.changes);
   arguments.insert(arguments.begin(), "prog");
   testing::internal::CaptureStderr();
@@ -125,6 +127,15 @@ TEST(Shorthands, AreSettingsInWhateverWayTheyAreWritten) {
   EXPECT_EQ(parse_short({"--backend", "vulkan"}).status, 2);
 }
 
+TEST(Shorthands, MayBeRepeatedAndStandBesideOtherSettings) {
+  const Short both = parse_short({"--backend", "gl", "--backend", "cpu", "--set", "fps=30", "--set", "path=fly"});
+  EXPECT_THAT(both.changes, ElementsAre("opengl=true"));
+  EXPECT_EQ(both.backend, "cpu");
+  EXPECT_THAT(both.set, ElementsAre("fps=30", "path=fly"));
+  EXPECT_THAT(parse_short({"--window", "--window"}).changes, ElementsAre("window=true"));
+  EXPECT_THAT(parse_short({"--record", "a", "--record", "b"}).changes, ElementsAre("packet_log=b"));
+}
+
 TEST(Shorthands, OfABackendGoIntoTheEnvironmentToo) {
   ::setenv("SPLATBUS_BACKEND", "gl", 1);
   const Short given = parse_short({});
@@ -132,6 +143,14 @@ TEST(Shorthands, OfABackendGoIntoTheEnvironmentToo) {
   EXPECT_EQ(given.status, std::nullopt);
   EXPECT_THAT(given.changes, ElementsAre("opengl=true"));
   EXPECT_EQ(given.backend, "auto");
+}
+
+TEST(Shorthands, OfABackendLeaveTheDeviceToTheEnvironment) {
+  ::setenv("SPLATBUS_BACKEND", "cpu", 1);
+  const Short given = parse_short({"--backend", "gl"});
+  ::unsetenv("SPLATBUS_BACKEND");
+  EXPECT_THAT(given.changes, ElementsAre("opengl=true"));
+  EXPECT_EQ(given.backend, "cpu");
 }
 
 }  // namespace

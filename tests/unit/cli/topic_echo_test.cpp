@@ -33,7 +33,7 @@ TEST_F(TopicEcho, SaysThatNothingIsPublishedThere) {
   EXPECT_THAT(mistyped.err, HasSubstr("on 'elsewhere/*'; 'splatbus topic list' shows what has"));
   for (const std::string verb : {"hz", "bw", "delay", "info"}) {
     std::vector<std::string> arguments{"topic", verb, "test/nmuber", "--bus", directory_.address().text()};
-    if (verb != "info") arguments.insert(arguments.end(), {"--seconds", "2.5"});
+    if (verb != "info") arguments.insert(arguments.end(), {"--seconds", "4"});
     const Ran other = run_to_end(add_topic_verb, arguments);
     EXPECT_EQ(other.status, 1) << verb;
     EXPECT_THAT(other.err, HasSubstr("splatbus topic " + verb +

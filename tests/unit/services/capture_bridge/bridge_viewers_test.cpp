@@ -206,10 +206,11 @@ TEST_F(BridgeViewersTest, WhereTheExpanderFindsNothingNewFewerInputCamerasGo) {
   }));
   // The round that a's step has brought is processed, and brought no Gaussian.
   say_all_are_processed();
-  // Both walk on: cameras are shared anew with a step, and this may be heard before what was said is.
-  float way_m = 1;
+  // Both walk to and fro: cameras are shared anew with a step, and steps may be heard before what was said is.
+  float way_m = 1, step_m = 0.05F;
   EXPECT_TRUE(until([&] {
-    way_m = std::min(way_m + 0.05F, 5.0F);
+    if (way_m + step_m < 1 || way_m + step_m > 5) step_m = -step_m;
+    way_m += step_m;
     look(1 + way_m, 100 + way_m);
     return cameras_about(0) < 8 && cameras_about(100) > 8;
   }));
