@@ -18,8 +18,10 @@ else  # files can be unpacked by anybody, and be nobody's
   for deb in "$work"/debs/*.deb; do dpkg-deb -x "$deb" "$root"; done
 fi
 packages="$(for deb in "$work"/debs/*.deb; do dpkg-deb -f "$deb" Package; done)"
+# Some are there under another name.
+here="$(dpkg-query -W -f '${db:Status-Status}, ${Package}, ${Provides}\n' | sed -n 's/^installed, //p' | tr ',' '\n' | sed 's/^ *//; s/[ (:].*//')"
 for package in $(for deb in "$work"/debs/*.deb; do dpkg-deb -f "$deb" Depends; done | tr ',' '\n' | sed 's/[|(].*//'); do
-  grep -qx "$package" <<<"$packages" || dpkg-query -W -f '${db:Status-Status}' "$package" | grep -qx installed || fail "it depends on $package, without which it was built"
+  grep -qx "$package" <<<"$packages" || grep -qx "$package" <<<"$here" || fail "it depends on $package, without which it was built"
 done
 PATH="$root/usr/bin:$PATH"
 
