@@ -40,9 +40,9 @@ elseif(CMAKE_BUILD_TYPE STREQUAL Release)
   set(SPLATBUS_TEST_OPTIONS "$<$<COMPILE_LANGUAGE:CXX>:-O1>")
 endif()
 # Instrumented they take several times as long.
-set(SPLATBUS_TEST_TIMEOUT_S 120)
+set(SPLATBUS_TEST_TIMEOUT_S 300)
 if(SPLATBUS_SANITIZE)
-  set(SPLATBUS_TEST_TIMEOUT_S 360)
+  set(SPLATBUS_TEST_TIMEOUT_S 900)
 endif()
 # What CTest tells the sanitizers of a test and of the programs that it starts.
 set(SPLATBUS_TEST_ENVIRONMENT)

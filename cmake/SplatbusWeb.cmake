@@ -19,7 +19,7 @@ if(SPLATBUS_NPM AND (NOT EXISTS "${installed}" OR "${web}/package-lock.json" IS_
   execute_process(
     COMMAND "${SPLATBUS_NPM}" ci --ignore-scripts --no-audit --no-fund --loglevel=error --fetch-retry-maxtimeout=10000
     WORKING_DIRECTORY "${web}"
-    TIMEOUT 120
+    TIMEOUT 300
     RESULT_VARIABLE result
     OUTPUT_VARIABLE said
     ERROR_VARIABLE said)
