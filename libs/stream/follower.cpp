@@ -139,6 +139,10 @@ void Follower::hello(std::int64_t now_ns) {
   for (const auto& [page, version] : replica_.held_pages()) {
     if (held.size() < kMaxHelloPages) held.emplace_back(page, version);
   }
+  // Of those that are held in part only their number is said: one that has ended meanwhile is to be told as gone.
+  for (const auto& [page, state] : replica_.held().pages) {
+    if (!state.whole() && held.size() < kMaxHelloPages) held.emplace_back(page, 0);
+  }
   say(wire::Body::Hello, [&](auto& builder) {
     const wire::Camera camera = camera_ ? told(*camera_) : wire::Camera();
     return wire::CreateHelloDirect(builder, options_.name.c_str(), camera_ ? &camera : nullptr, options_.probes,

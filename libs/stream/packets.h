@@ -35,6 +35,7 @@ class PacketWriter {
 
   /// One without source, epoch and publish_ns in its headers, for what is sent often: stream_epoch says whose it is.
   [[nodiscard]] static PacketWriter brief() { return {"", 0}; }
+  [[nodiscard]] std::uint64_t source_epoch() const { return epoch_; }
 
   /// `build` receives the builder and returns the body's offset, whose type is `body`. `capture_ns`: CLOCK_MONOTONIC of
   /// the engine's frame, 0 when there is none.

@@ -1,5 +1,6 @@
 #include "stream/quantized.h"
 
+#include <algorithm>
 #include <cassert>
 
 #include "stream/coding.h"
@@ -73,6 +74,20 @@ void QuantizedGaussians::remove(std::span<const std::uint32_t> ascending) {
   for (auto& plane : channels) remove_at(plane, ascending);
   remove_at(object_id, ascending);
   remove_at(gaussian_id, ascending);
+}
+
+PageBounds bounds_of(const QuantizedGaussians& gaussians, const StreamLayout& layout, std::uint32_t first,
+                     std::uint32_t count) {
+  const AttributeChannels &mean = layout.at(Attribute::Mean), &scale = layout.at(Attribute::LogScale);
+  const auto value = [&](const AttributeChannels& a, int c, std::uint32_t i) {
+    return a.quantizer.offset + a.quantizer.step * static_cast<float>(gaussians.channels[a.first + c][i]);
+  };
+  PageBounds bounds;
+  for (std::uint32_t i = first; i < first + count; ++i) {
+    include(bounds, {value(mean, 0, i), value(mean, 1, i), value(mean, 2, i)},
+            std::max({value(scale, 0, i), value(scale, 1, i), value(scale, 2, i)}));
+  }
+  return bounds;
 }
 
 }  // namespace splatbus::stream

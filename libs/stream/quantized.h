@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "gaussians/model.h"
+#include "gaussians/pages.h"
 #include "stream/coding.h"
 #include "stream/layout.h"
 
@@ -46,6 +47,10 @@ void remove_at(std::vector<T>& values, std::span<const std::uint32_t> ascending)
   }
   values.resize(to);
 }
+
+/// Of columns first, first + 1, ..., in the frame that they are in.
+[[nodiscard]] PageBounds bounds_of(const QuantizedGaussians& gaussians, const StreamLayout& layout, std::uint32_t first,
+                                   std::uint32_t count);
 
 /// How a channel of the attribute becomes an integer.
 [[nodiscard]] coding::Step step_of(const AttributeChannels& channels);

@@ -59,7 +59,7 @@ class Replica {
   [[nodiscard]] const Report& report() const { return report_; }
   /// After it was sent.
   void clear_report();
-  /// For a Hello: all whole pages.
+  /// All whole pages.
   [[nodiscard]] std::vector<PageVersion> held_pages() const;
 
   /// What a DisplayGaussians does, after all that was taken before, to show what is shown now. Few bytes more than

@@ -11,24 +11,6 @@
 
 namespace splatbus::stream {
 
-namespace {
-
-PageBounds bounds_of_columns(const QuantizedGaussians& gaussians, const StreamLayout& layout, std::uint32_t first,
-                             std::uint32_t count) {
-  const AttributeChannels &mean = layout.at(Attribute::Mean), &scale = layout.at(Attribute::LogScale);
-  const auto value = [&](const AttributeChannels& a, int c, std::uint32_t i) {
-    return a.quantizer.offset + a.quantizer.step * static_cast<float>(gaussians.channels[a.first + c][i]);
-  };
-  PageBounds bounds;
-  for (std::uint32_t i = first; i < first + count; ++i) {
-    include(bounds, {value(mean, 0, i), value(mean, 1, i), value(mean, 2, i)},
-            std::max({value(scale, 0, i), value(scale, 1, i), value(scale, 2, i)}));
-  }
-  return bounds;
-}
-
-}  // namespace
-
 bool StreamModel::observe(const GaussiansView& gaussians, const std::function<bool()>& still_valid) {
   if (gaussians.count > kMaxModelGaussians) {
     throw StreamError(fmt::format("model: {} Gaussians, at most {} can be read", gaussians.count, kMaxModelGaussians));
@@ -205,7 +187,7 @@ void StreamModel::cut_target(const GaussiansView& gaussians, std::span<const Ind
     TargetPage& page = target_pages_[k];
     observed_count_ += page.count;
     const bool said = gaussians.has_pages() && gaussians.bounds.size() == target_pages_.size();
-    page.bounds = said ? gaussians.bounds[k] : bounds_of_columns(target_, *target_layout_, page.first, page.count);
+    page.bounds = said ? gaussians.bounds[k] : bounds_of(target_, *target_layout_, page.first, page.count);
   }
   for (const TargetPage& page : before) {
     if (find_target(page.page) != nullptr) continue;

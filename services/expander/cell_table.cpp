@@ -38,6 +38,14 @@ void CellTable::set_samples(std::span<const CellCount> cells) {
   }
 }
 
+std::vector<CellCount> CellTable::sampled() const {
+  std::vector<CellCount> counts;
+  for (const Cell& cell : cells_) {
+    if (cell.report.samples > 0) counts.push_back({.key = cell.report.key, .count = cell.report.samples});
+  }
+  return counts;
+}
+
 void CellTable::add_modelled(std::span<const CellCount> cells) {
   for (const CellCount& count : cells) {
     Cell* const cell = find_or_add(count.key);

@@ -36,6 +36,8 @@ class CellTable {
   /// them again after all the rest. A cell that has neither samples nor points is told once and forgotten.
   [[nodiscard]] std::vector<CellReport> take(std::size_t max, std::size_t repeats);
 
+  /// Cells that a round had samples in, and how many in the last that had.
+  [[nodiscard]] std::vector<CellCount> sampled() const;
   [[nodiscard]] bool changed() const { return !changed_.empty(); }
   [[nodiscard]] bool full() const { return places_.size() >= max_cells_; }
   [[nodiscard]] std::size_t size() const { return places_.size(); }

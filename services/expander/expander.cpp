@@ -287,6 +287,7 @@ void Expander::prepare_ring() {
 
 void run(bus::ServiceContext& service) {
   Expander expander(service.bus, service.parameters, service.backend);
+  expander.adopt_handover();
   while (!service.stop.stop_requested()) {
     expander.step(std::chrono::milliseconds(20));
     const ExpanderCounters& counters = expander.counters();
@@ -314,6 +315,7 @@ void run(bus::ServiceContext& service) {
   while (service.yields() && expander.settle(std::chrono::milliseconds(20)) &&
          std::chrono::steady_clock::now() < deadline) {
   }
+  expander.leave_behind();
 }
 
 }  // namespace splatbus::expander

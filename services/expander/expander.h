@@ -43,6 +43,12 @@ class Expander {
   /// Takes no more rounds, and sees to it that the trainer gets what was inserted: false once it has all of it.
   [[nodiscard]] bool settle(std::chrono::milliseconds timeout);
 
+  // succession.cpp
+  /// What the one before has filled counts as filled. Before the first step.
+  void adopt_handover();
+  /// For the next process of this name.
+  void leave_behind();
+
   [[nodiscard]] const ExpanderCounters& counters() const { return counters_; }
   [[nodiscard]] const GaussianInserter& inserter() const { return inserter_; }
   [[nodiscard]] const RetransmitQueue& queue() const { return queue_; }

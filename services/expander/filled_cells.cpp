@@ -24,6 +24,12 @@ bool FilledCells::holds_children_of(const CellKey& cell) const {
   return false;
 }
 
+bool FilledCells::restore(const CellKey& cell, float spacing_m) {
+  if (spacing_m_.size() >= kMostCells) return false;
+  spacing_m_.insert_or_assign(cell, spacing_m);
+  return true;
+}
+
 bool FilledCells::fill(const CellKey& cell, float spacing_m, float refine_factor, bool lacks) {
   const float* before = find(cell);
   // What was seen from farther away was filled by cells of the next size, and from nearer by smaller ones. A larger

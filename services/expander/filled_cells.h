@@ -16,6 +16,10 @@ class FilledCells {
   /// they are finer by `refine_factor` than those that filled it before. Remembers it as filled if so.
   [[nodiscard]] bool fill(const CellKey& cell, float spacing_m, float refine_factor, bool lacks);
   void clear() { spacing_m_.clear(); }
+  /// The cell was filled so by the expander before; false when there are too many cells.
+  bool restore(const CellKey& cell, float spacing_m);
+  /// By cell.
+  [[nodiscard]] const std::unordered_map<CellKey, float, CellHash>& all() const { return spacing_m_; }
   [[nodiscard]] std::size_t size() const { return spacing_m_.size(); }
 
  private:

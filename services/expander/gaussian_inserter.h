@@ -62,6 +62,7 @@ class GaussianInserter {
 
   [[nodiscard]] CellTable& cells() { return cells_; }
   [[nodiscard]] const CellTable& cells() const { return cells_; }
+  [[nodiscard]] FilledCells& filled() { return filled_; }
   [[nodiscard]] const ModelledPoints& modelled() const { return modelled_; }
 
   /// Bulk data that has passed through host memory. Any thread.

@@ -10,6 +10,8 @@ void ModelSync::follow(const ModelReport& report, const AdoptModel& adopt_model,
   const bool ours = report.insert_epoch == own_epoch_;
   if (ours) queue.acknowledge(report.batches);
   const bool lost = report.count == 0 && !(ours && !report.batches.empty()) && queue.ever_acknowledged();
+  // What the expander before has filled was of another model.
+  if (!settled_ && report.count == 0 && queue.pending() == 0) inserter.clear();
   const bool another_emptied = settled_ && !same_trainer && report.count == 0;
   stale_ = stale_ || !same_trainer || report.generation != generation_;
   generation_ = report.generation;

@@ -9,10 +9,13 @@
 #include <string>
 #include <utility>
 
+#include "bus/clock.h"
+#include "bus/trace.h"
 #include "gateway/browser_socket.h"
 #include "gateway/packet_gate.h"
 #include "gateway/stream_link.h"
 #include "gateway/streamers.h"
+#include "stream/packets.h"
 #include "stream/web_message.h"
 
 namespace splatbus::gateway {
@@ -86,8 +89,27 @@ class StreamSession final : public BrowserSocket {
       const std::array<asio::const_buffer, 3> message{asio::buffer(header),
                                                       asio::buffer(packet.packet.data(), packet.packet.size()),
                                                       asio::buffer(packet.payload.data(), packet.payload.size())};
+      const std::int64_t begin_ns = bus::now_ns();
       const bool written = co_await write(message);
       if (!written) co_return;
+      trace(packet, begin_ns);
+    }
+  }
+  /// Only while somebody asks for `splatbus trace` is a packet looked into. Each page has a track of its own, since the
+  /// thread does something else while a page's socket is full.
+  void trace(const StreamPacket& packet, std::int64_t begin_ns) const {
+    bus::SpanLog& log = bus::SpanLog::of_process();
+    if (!log.records()) return;
+    try {
+      const auto* const bytes = packet.packet.data<std::uint8_t>();
+      const auto parsed = stream::ParsedPacket::parse({bytes, packet.packet.size()}, {});
+      log.add({.name = "relay to a page",
+               .begin_ns = begin_ns,
+               .end_ns = bus::now_ns(),
+               .capture_ns = parsed.capture_ns(),
+               .thread = static_cast<std::uint32_t>(link_.descriptor())});
+    } catch (const stream::StreamError&) {
+      // The page says so.
     }
   }
   void wake_writer() override { wake_.cancel(); }

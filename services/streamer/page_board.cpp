@@ -57,7 +57,7 @@ void PageBoard::clear() {
   of_others_.clear();
   seen_.clear();
   wanted_.clear();
-  visibility_version_ = 0;
+  visibility_version_ = model_.status().visibility_version;  // 0, but of a stream that another streamer has handed over
 }
 
 const stream::OfferedPage* PageBoard::find(std::uint32_t page) const {

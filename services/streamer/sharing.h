@@ -48,6 +48,10 @@ class Sharing {
 
   /// Whether there are others, so that ticks are worth beginning together.
   [[nodiscard]] bool active() const { return !peers_.empty(); }
+  /// Whether all that viewers are sent is encoded here.
+  [[nodiscard]] bool has_all() const { return peers_.empty() && inherited_.empty() && division_.sources().size() == 1; }
+  /// The largest that anybody has used in the stream.
+  [[nodiscard]] std::uint32_t newest_version() const { return place().version; }
   /// False for a moment after the start while others may be about to say in which stream they are.
   [[nodiscard]] bool may_begin(std::int64_t now_ns);
   /// Whether anybody is sent anything of the model by another one.

@@ -48,6 +48,7 @@ Streamer::Streamer(bus::ServiceContext& service)
       sharing_(service.bus->source(), publisher_, model_, hub_, others_, static_cast<double>(options_->hub.tick_hz)),
       follower_(model_, service.backend) {
   subscribe();
+  adopt_handover();
   publish_offer();
   for (const std::string& endpoint : endpoint_.bound()) spdlog::info("viewers connect to {}", endpoint);
 }
@@ -78,6 +79,7 @@ HubEvents Streamer::events() {
 void Streamer::run() {
   while (!service_.stop.stop_requested()) wait_and_step();
   drain();
+  leave_behind();
 }
 
 void Streamer::wait_and_step() {

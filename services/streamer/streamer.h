@@ -66,6 +66,11 @@ class Streamer {
   void close_load(const WireStatistics::Window& window);
   void wait_and_step();
   void drain();
+  // succession.cpp
+  /// Where the one before has left its stream, it goes on.
+  void adopt_handover();
+  /// Where no other streamer goes on with it: for the next process of this name.
+  void leave_behind();
   void say_what_is_served(const ModelFollower::Result& result);
   [[nodiscard]] HubEvents events();
 

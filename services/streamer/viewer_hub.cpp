@@ -27,7 +27,8 @@ ViewerHub::ViewerHub(Endpoint& endpoint, stream::StreamModel& model, stream::Pac
       events_(std::move(events)),
       board_(model, options.history_bytes),
       answers_(board_, model, [this](const auto& peer, const WirePacket& packet) { return send(peer, packet); }),
-      book_(options.max_viewers_per_address) {}
+      book_(options.max_viewers_per_address),
+      connections_(writer_.source_epoch()) {}
 
 void ViewerHub::say(const std::string& text) {
   if (log_limiter_.allow()) spdlog::info("{}", text);

@@ -92,6 +92,8 @@ class ViewerHub {
   [[nodiscard]] std::size_t viewers() const { return viewers_.size(); }
   /// Whether anybody is sent anything of the model: a viewer, or one who asks for pages.
   [[nodiscard]] bool is_followed() const { return !viewers_.empty() || !readers_.empty(); }
+  /// Viewers of a streamer before may be on their way: that nobody is here counts from now on.
+  void await_viewers(std::int64_t now_ns) { empty_since_ns_ = now_ns; }
   /// How long nobody has been here; 0 while somebody is.
   [[nodiscard]] double empty_s(std::int64_t now_ns) const;
   /// Of some viewers, in turn: what they see comes first in a tick.
@@ -172,7 +174,9 @@ class ViewerHub {
   WholeScene whole_scene_;  ///< the newest that was asked for
   WireStatistics statistics_;
   Counts former_;  ///< of viewers that are gone
-  std::uint64_t lost_viewers_ = 0, ignored_ = 0, connections_ = 0, camera_turn_ = 0;
+  std::uint64_t lost_viewers_ = 0, ignored_ = 0, camera_turn_ = 0;
+  /// Begins where no other process does: who comes from another streamer of the same stream is numbered anew.
+  std::uint64_t connections_;
   std::int64_t empty_since_ns_ = 0;
   bus::LogLimiter log_limiter_;
 };

@@ -11,8 +11,6 @@
 // computes on: Adam's moments and the Gaussians' ages. Progress, ids and batches are the page table's already.
 namespace splatbus::trainer {
 
-inline constexpr const char* kHandoverRole = "handover";  ///< of the slab
-
 struct HandoverHeader {
   static constexpr std::uint64_t kMagic = 0x72766f646e616873;  // "shandovr"
   static constexpr std::uint32_t kVersion = 1;

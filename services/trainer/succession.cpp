@@ -5,6 +5,7 @@
 
 #include "bus/clock.h"
 #include "bus/error.h"
+#include "bus/handover.h"
 #include "bus/memory.h"
 #include "trainer/trainer.h"
 
@@ -16,8 +17,7 @@ using namespace std::chrono_literals;
 
 constexpr auto kViewsPatience = 10s;  // then it takes over with those that have come
 constexpr auto kStandbyPeriod = 500ms;
-constexpr auto kLeavePatience = 500ms;  // for the broker; whoever ends the trainer may kill it after 3 s
-constexpr int kRefusals = 8;            // of a model that may have been in the middle of a change
+constexpr int kRefusals = 8;  // of a model that may have been in the middle of a change
 
 }  // namespace
 
@@ -89,20 +89,19 @@ void Trainer::publish_standby() {
 }
 
 void Trainer::adopt_handover() {
-  const auto slab = service_.bus->adopt_slab(fmt::format("{}/{}", service_.bus->source(), kHandoverRole));
-  if (slab) {
-    Restored restored{.refusal = "it is not one slot of host memory, written to its end"};
-    const bool one = slab->descriptor().kind == Device::Cpu && slab->slots() == 1;
-    if (one && slab->sequence(0) != 0 && slab->sequence(0) % 2 == 0) {
-      restored = optimizer_->restore({slab->slot_data(0), slab->slot_bytes()});
-    }
-    if (restored.refusal.empty()) {
+  Restored restored;
+  try {
+    const bool adopted = bus::take_handover(
+        *service_.bus, [&](std::span<const std::byte> bytes) { restored = optimizer_->restore(bytes); });
+    if (adopted && restored.refusal.empty()) {
       spdlog::info("goes on with the moments and ages of {} Gaussians", restored.gaussians);
-    } else {
-      spdlog::warn("moments and ages begin anew, as what was left cannot be used: {}", restored.refusal);
     }
-    service_.counter("handed_over", static_cast<double>(restored.gaussians));
-    service_.bus->drop_slab(kHandoverRole);
+    if (adopted) service_.counter("handed_over", static_cast<double>(restored.gaussians));
+  } catch (const bus::Error& error) {
+    restored.refusal = error.what();
+  }
+  if (!restored.refusal.empty()) {
+    spdlog::warn("moments and ages begin anew, as what was left cannot be used: {}", restored.refusal);
   }
   if (successor_) service_.ready();
 }
@@ -111,30 +110,26 @@ void Trainer::adopt_handover() {
 // the rates of a beginner, and spoil for seconds what was learned.
 void Trainer::leave_behind() {
   constexpr std::size_t kMostBytes = std::size_t{512} << 20U;  // more would keep whoever ends it waiting
-  // Over tcp nobody could open it; and who has no broker any more is not to wait for one.
-  if (!service_.bus->address().is_local() || !service_.bus->wait_connected(0ms) || store_->count() == 0) return;
+  if (store_->count() == 0) return;
   if (const std::size_t bytes = optimizer_->handover_bytes(); bytes > kMostBytes) {
     spdlog::info("{} MiB of moments and ages are not kept for a trainer that comes after", bytes >> 20U);
     return;
   }
   try {
-    hand_over(kLeavePatience);
+    hand_over(0ms);
   } catch (const std::exception& error) {
     spdlog::warn("moments and ages are not kept for a trainer that comes after: {}", error.what());
   }
 }
 
 void Trainer::hand_over(std::chrono::milliseconds patience) {
+  if (!service_.bus->wait_connected(patience)) return;
   finish_steps();
   optimizer_->publish(publisher_);
   publish_stats(false);
-  const auto slab =
-      service_.bus->create_slab(kHandoverRole, 1, optimizer_->handover_bytes(), static_cast<int>(patience.count()),
-                                Device::Cpu, bus::Context::SlabLife::ForSuccessor);
-  slab->begin_write(0);
-  optimizer_->save(slab->slot_data(0));
-  slab->end_write(0);
-  spdlog::info("handed over {} Gaussians at step {}", store_->count(), store_->step());
+  const bool left = bus::leave_handover(
+      *service_.bus, optimizer_->handover_bytes(), [this](std::byte* memory) { optimizer_->save(memory); }, patience);
+  if (left) spdlog::info("handed over {} Gaussians at step {}", store_->count(), store_->step());
 }
 
 }  // namespace splatbus::trainer

@@ -109,8 +109,8 @@ Camera CameraPath::recorded_at(double seconds) const {
   return camera;
 }
 
-PathClock::PathClock(const PathOptions& options, std::int64_t now_ns)
-    : options_(options), before_s_(options.start_s), since_ns_(now_ns) {}
+PathClock::PathClock(const PathOptions& options, std::int64_t now_ns, double begin_s)
+    : options_(options), before_s_(begin_s), since_ns_(now_ns) {}
 
 void PathClock::change(const PathOptions& options, std::int64_t now_ns) {
   const bool anew =

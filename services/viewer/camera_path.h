@@ -59,11 +59,12 @@ class CameraPath {
   std::vector<std::vector<TimedPose>> recorded_;
 };
 
-/// A path's own time: it begins at start_s, goes on while `run` says so, and begins anew where a changed start_s or
-/// another way says so.
+/// A path's own time: it begins at start_s, or where another viewer's has ended, goes on while `run` says so, and
+/// begins anew where a changed start_s or another way says so.
 class PathClock {
  public:
-  PathClock(const PathOptions& options, std::int64_t now_ns);
+  PathClock(const PathOptions& options, std::int64_t now_ns, double begin_s);
+  PathClock(const PathOptions& options, std::int64_t now_ns) : PathClock(options, now_ns, options.start_s) {}
 
   void change(const PathOptions& options, std::int64_t now_ns);
   [[nodiscard]] double seconds(std::int64_t now_ns) const;

@@ -23,6 +23,7 @@
 #include "stream/streamer_choice.h"
 #include "viewer/gl/flight.h"
 #include "viewer/replay.h"
+#include "viewer/succession.h"
 #include "viewer/viewer.h"
 
 namespace {
@@ -61,15 +62,17 @@ void run_on_bus(splatbus::bus::ServiceContext& service) {
       }
     }
   }
-  splatbus::viewer::Viewer(service.parameters,
-                           {.name = service.bus->source(),
-                            .endpoint = endpoint,
-                            .find_endpoint = find_endpoint,
-                            .device = service.backend,
-                            .stop = service.stop,
-                            .counter = [&](const std::string& name, double value) { service.counter(name, value); },
-                            .detail = [&](const std::string& text) { service.detail(text); }})
-      .run();
+  splatbus::viewer::Viewer viewer(
+      service.parameters, {.name = service.bus->source(),
+                           .endpoint = endpoint,
+                           .find_endpoint = find_endpoint,
+                           .device = service.backend,
+                           .stop = service.stop,
+                           .counter = [&](const std::string& name, double value) { service.counter(name, value); },
+                           .detail = [&](const std::string& text) { service.detail(text); },
+                           .place = splatbus::viewer::take_place(*service.bus)});
+  viewer.run();
+  splatbus::viewer::leave_place(*service.bus, viewer.place());
 }
 
 /// A fixed flight through OpenGL without a window, and a line of JSON: how fast it was.

@@ -51,6 +51,13 @@ std::unique_ptr<Window> make_window(const Options& options, const Camera& camera
   return std::make_unique<Window>(camera, "splatbus: " + name, what);
 }
 
+/// A person goes on from where the window before was, with the size that this one has.
+Camera first_camera(const Options& options, const CameraPath& path, const std::optional<Place>& place) {
+  Camera camera = path.at(place ? place->path_s : options.path.start_s);
+  if (place && options.window) camera.world_from_camera = place->camera.world_from_camera;
+  return camera;
+}
+
 std::unique_ptr<Painter> make_painter(const Options& options, bool opengl, Device device) {
   if (opengl) return make_gl_painter(options.window, options.draw);
   return make_raster_painter(device, options.threads);
@@ -62,9 +69,9 @@ Viewer::Viewer(const bus::Parameters& parameters, ViewerHost host)
     : options_(parameters),
       host_(std::move(host)),
       path_(options_->path),
-      path_clock_(options_->path, bus::now_ns()),
+      path_clock_(options_->path, bus::now_ns(), host_.place ? host_.place->path_s : options_->path.start_s),
       path_options_(options_->path),
-      camera_(path_.at(options_->path.start_s)),
+      camera_(first_camera(*options_, path_, host_.place)),
       window_(make_window(*options_, camera_, host_.name)),
       opengl_(options_->draws_through_opengl() && (!window_ || window_->takes_splats())),
       painter_(make_painter(*options_, opengl_, host_.device)),
@@ -111,6 +118,10 @@ void Viewer::run() {
       changed = true;
     }
   }
+}
+
+Place Viewer::place() const {
+  return {.path_s = path_clock_.seconds(bus::now_ns()), .camera = camera_};
 }
 
 void Viewer::renew_context(const ContextLost& lost) {

@@ -19,6 +19,7 @@
 #include "viewer/painter.h"
 #include "viewer/picture_age.h"
 #include "viewer/stream_receiver.h"
+#include "viewer/succession.h"
 #include "viewer/window.h"
 #include "viewer/window_stream.h"
 
@@ -33,6 +34,7 @@ struct ViewerHost {
   std::stop_token stop;
   std::function<void(const std::string& name, double value)> counter;
   std::function<void(const std::string& text)> detail;
+  std::optional<Place> place{};  ///< of the viewer before: it goes on from there
 };
 
 /// Shows what the streamer sends: PNG frames, a window, or only figures against the engine's own pictures.
@@ -46,6 +48,8 @@ class Viewer {
 
   /// CLOCK_MONOTONIC when the first picture with a Gaussian in it was ready; 0 before.
   [[nodiscard]] std::int64_t first_picture_ns() const { return first_picture_ns_; }
+  /// Where it is; not while run() is on its way.
+  [[nodiscard]] Place place() const;
 
  private:
   [[nodiscard]] cv::Mat draw(const Camera& camera, const SceneState& scene);

@@ -19,6 +19,7 @@ constexpr std::size_t kLogBytesAFault = 65536;
 /// Rings are made anew, larger, as pictures and models grow.
 constexpr double kMoreSlabs = 8;
 constexpr std::int64_t kBeforeNs = 6'000'000'000;
+constexpr std::size_t kLeastSamples = 4;  // of four views each, to compare with
 /// Of the Gaussians before a fault. Training removes some all the time, and as many as it likes while a fault lasts.
 constexpr double kKept = 0.9, kMore = 1.5;
 
@@ -80,6 +81,11 @@ std::vector<std::uint64_t> ChaosTest::whole_model() {
 }
 
 ChaosTest::Before ChaosTest::look() {
+  // A single picture may be a lucky one.
+  (void)pipeline_.wait_until([&] {
+    const auto& samples = pipeline_.samples();
+    return samples.size() >= kLeastSamples && samples[samples.size() - kLeastSamples].time_ns > over_ns_;
+  });
   level_ = level_before();
   return {.level = level_,
           .ids = whole_model(),

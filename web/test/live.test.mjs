@@ -1,5 +1,7 @@
 // The page before a real pipeline: compared with the engine, together with others, and while services are killed.
 import assert from 'node:assert/strict';
+import { readFileSync } from 'node:fs';
+import { join } from 'node:path';
 import { after, before, test } from 'node:test';
 import { browserProcesses, filmed, launch } from './browser.mjs';
 import { startPipeline, until } from './pipeline.mjs';
@@ -49,6 +51,22 @@ test('a scene that is made while it is watched', async () => {
   const { sequence } = await figures();
   await page.waitForFunction((before) => window.splatbus.figures.sequence > before, sequence);
   await page.waitForFunction(() => window.splatbus.figures.roundTripMs > 0);
+});
+
+test('a trace shows a frame on its way to the page', async () => {
+  const file = join(pipeline.folder, 'trace.json');
+  await pipeline.verb('trace', '--seconds', '2', '-o', file);
+  const { traceEvents } = JSON.parse(readFileSync(file, 'utf8'));
+  const nameOf = new Map(traceEvents.filter((one) => one.name === 'process_name').map((one) => [one.pid, one.args.name]));
+  const done = traceEvents.filter((one) => one.ph === 'X').map((one) => ({ ...one, by: nameOf.get(one.pid) }));
+  const relayed = done.filter((one) => one.by === 'gateway' && one.args?.capture_ns);
+  assert.ok(relayed.length > 0, `${[...new Set(done.map((one) => `${one.by}: ${one.name}`))]}`);
+  // Each scene goes out of the capture-bridge, through the streamer and to the page, in this order.
+  const hasWholeWay = relayed.some((last) => {
+    const begun = ['capture-bridge', 'streamer'].map((by) => done.find((one) => one.by === by && one.args?.capture_ns === last.args.capture_ns)?.ts);
+    return begun[0] <= begun[1] && begun[1] <= last.ts;
+  });
+  assert.ok(hasWholeWay);
 });
 
 test('the engine\'s own picture is compared with the splats', async () => {

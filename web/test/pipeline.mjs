@@ -85,14 +85,20 @@ ${Object.entries(gateways).map(serviceOf).join('')}`;
     async restarted(source) {
       await (await this.kill(source))();
     },
-    /** Puts another process in a service's place, as an operator does; throws what the command says when it is refused. */
-    async swap(source) {
-      const verb = spawn(join(bin, 'splatbus'), ['swap', source, '--bus', bus], { stdio: ['ignore', 'pipe', 'pipe'], env });
+    /** What an operator types; returns what it prints, and throws that when it fails. */
+    async verb(...words) {
+      const verb = spawn(join(bin, 'splatbus'), [...words, '--bus', bus], { stdio: ['ignore', 'pipe', 'pipe'], env });
       let answer = '';
       for (const stream of [verb.stdout, verb.stderr]) stream.on('data', (text) => (answer += text));
       const code = await new Promise((resolve) => verb.once('close', resolve));
-      if (code !== 0) throw new Error(`swap ${source}: ${answer}`);
+      if (code !== 0) throw new Error(`splatbus ${words.join(' ')}: ${answer}`);
+      return answer;
     },
+    /** Puts another process in a service's place. */
+    swap(source) {
+      return this.verb('swap', source);
+    },
+    folder,
     async close() {
       launched.kill('SIGINT');
       await ended;

@@ -12,7 +12,7 @@ const kBeforeMs = 6000;
 const kRestMs = 2000;
 /**
  * What is measured between swaps is of this run and machine. A swap starts a process on the same two processors, by which the page draws, too, and
- * another gateway or streamer has a page load its model: all turns then take longer. A loop that waits has a longest turn, not a median.
+ * through another gateway a page asks what it lacks: all turns then take longer. A loop that waits has a longest turn, not a median.
  */
 const kSlower = 3;
 const kLongerMs = 500;
@@ -65,11 +65,11 @@ async function watched(act) {
 const rested = () => watched(() => new Promise((resolve) => setTimeout(resolve, kRestMs)));
 const swapped = (service) =>
   watched(async () => {
-    const then = await figures();
     await pipeline.swap(service);
-    await page.waitForFunction(({ sequence, epoch }) => {
+    const then = await figures();
+    await page.waitForFunction((before) => {
       const { figures: now, connection } = window.splatbus;
-      return connection === 'open' && now.missing === 0 && (now.epoch !== epoch || now.sequence > sequence);
+      return connection === 'open' && now.missing === 0 && now.bytes > before.bytes && now.sceneVersion > before.sceneVersion;
     }, then, kPolls);
     // A turn that waits has not come yet.
     const turned = await page.evaluate(() => window.turns.length);

@@ -164,6 +164,7 @@ class ExpanderTest : public bus_test::BusTest, public testing::WithParamInterfac
   void start() {
     ASSERT_TRUE(until([&] { return !trainer_ || trainer_->is_latched(); }));
     expander_ = std::make_unique<Expander>(connect("expander"), parameters_, GetParam().backend);
+    expander_->adopt_handover();
     ASSERT_TRUE(until([&] { return expander_->model_sync().settled() && state_.has_value() && rounds() == 0; }));
   }
 

@@ -280,7 +280,7 @@ TEST_F(Library, FindsAStreamerThatComesBack) {
   };
   std::string before;
   ASSERT_TRUE(bus_test::eventually([&] { return !(before = epoch()).empty(); }));
-  streamer_.reset();
+  kill_streamer();
   start_streamer();
   EXPECT_TRUE(bus_test::eventually([&] {
     const std::string now = epoch();

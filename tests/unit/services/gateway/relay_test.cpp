@@ -180,7 +180,7 @@ TEST_F(Relay, AStreamerThatComesBackIsFoundByTheSameConnection) {
   Follower page(port_);
   ASSERT_TRUE(page.until([&] { return page.replica().count() == 300; }));
   const std::uint64_t epoch = page.replica().epoch();
-  streamer_.reset();
+  kill_streamer();
   start_streamer();
   EXPECT_TRUE(page.until([&] { return page.replica().epoch() != epoch && page.replica().count() == 300; }));
 }

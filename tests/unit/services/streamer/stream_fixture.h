@@ -17,6 +17,7 @@
 #include "../../bus/bus_fixture.h"
 #include "../../model/paged_publisher.h"
 #include "../../stream/toy_model.h"
+#include "bus/handover.h"
 #include "bus/service.h"
 #include "streamer/parameters.h"
 #include "streamer/streamer.h"
@@ -181,6 +182,12 @@ class StreamTest : public bus_test::BusTest {
     changes.insert(changes.begin(), {"budget_kbps", "1000000"});
     changes.insert(changes.begin(), {"viewer_kbps", "1000000"});
     streamer_ = std::make_unique<RunningStreamer>(connect("streamer"), changes, backend);
+  }
+
+  /// The next one finds nothing of it.
+  void kill_streamer() {
+    streamer_.reset();
+    (void)bus::take_handover(*connect("streamer"), [](std::span<const std::byte>) {});
   }
 
   [[nodiscard]] std::string endpoint() const { return streamer_->endpoints().front(); }

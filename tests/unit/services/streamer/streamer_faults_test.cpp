@@ -38,13 +38,39 @@ TEST_F(StreamerTest, WhatWasLostComesAgainAndNobodyElseNotices) {
   EXPECT_EQ(good.lacked(), 0U);
 }
 
-TEST_F(StreamerTest, ThePictureStaysWhenTheStreamerIsRestarted) {
+/// As an operator restarts or swaps it: viewers hold what they held, and follow the next one by deltas.
+TEST_F(StreamerTest, TheNextStreamerGoesOnWithTheStream) {
+  start_streamer();
+  const GaussiansBuffer all = stream::test::toy_model(3150, 1);
+  const auto first_of_all = [&](std::size_t count) {
+    GaussiansBuffer some = all;
+    some.resize(count);
+    return some;
+  };
+  trainer_.publish(first_of_all(3000));
+  StreamClient client(client_options("one"));
+  ASSERT_TRUE(poll_until([&] { return client.replica().count() == 3000; }, client));
+  const std::uint64_t epoch = client.replica().epoch(), whole_bytes = client.received_bytes();
+  for (std::size_t count = 3050; count <= 3150; count += 50) {
+    streamer_.reset();
+    start_streamer();
+    trainer_.publish(first_of_all(count));
+    ASSERT_TRUE(poll_until([&] { return client.replica().count() == count; }, client));
+    EXPECT_EQ(client.replica().epoch(), epoch);
+  }
+  EXPECT_LT(client.received_bytes() - whole_bytes, whole_bytes / 2) << "what it holds did not come again, not once";
+  EXPECT_GT(ids_by_row(client.replica(), all).size(), 3140U) << "some share a place";
+  StreamClient late(client_options("late"));
+  EXPECT_TRUE(poll_until([&] { return hold_the_same(client.replica(), late.replica()); }, client, late));
+}
+
+TEST_F(StreamerTest, ThePictureStaysWhenAStreamerComesThatKnowsNothing) {
   start_streamer();
   trainer_.publish(stream::test::toy_model(300, 1));
   StreamClient client(client_options("one"));
   ASSERT_TRUE(poll_until([&] { return client.replica().count() == 300; }, client));
   const std::uint64_t epoch = client.replica().epoch();
-  streamer_.reset();
+  kill_streamer();
   bool vanished = false;
   const auto watch = [&] { vanished = vanished || client.replica().count() == 0; };
   start_streamer();

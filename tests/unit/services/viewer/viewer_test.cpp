@@ -29,7 +29,9 @@ class ViewerTest : public StreamTest {
   ViewerTest() : peer_(connect("peer")), out_(directory_.path() + "/out") {}
   ~ViewerTest() override { stop_viewer(); }
 
-  void start_viewer(const std::vector<std::pair<std::string, std::string>>& changes) {
+  void start_viewer(const std::vector<std::pair<std::string, std::string>>& changes,
+                    const std::optional<viewer::Place>& place = {}) {
+    stop_ = std::stop_source();
     parameters_ = std::make_unique<bus::Parameters>(bus::Parameters::declare<viewer::Options>());
     for (const auto& [name, value] : changes) ASSERT_EQ(parameters_->set(name, value, false), "");
     viewer_ =
@@ -41,12 +43,27 @@ class ViewerTest : public StreamTest {
                                                                                 if (name == "unwritten_pictures")
                                                                                   unwritten_ = value;
                                                                               },
-                                                                          .detail = [](const auto&) {}});
+                                                                          .detail = [](const auto&) {},
+                                                                          .place = place});
     thread_ = std::thread([this] { viewer_->run(); });
   }
   void stop_viewer() {
     stop_.request_stop();
     if (thread_.joinable()) thread_.join();
+  }
+
+  /// Where it said last that it is, on its orbit: radians, from +x towards +z.
+  double told_angle(bus::Subscriber& poses) {
+    std::optional<double> angle;
+    EXPECT_TRUE(bus_test::eventually([&] {
+      while (const auto message = poses.receive(1ms)) {
+        const Camera camera = from_wire(*message->root<wire::ViewerPose>().camera());
+        const glm::vec3 eye = camera.world_from_camera.translation;
+        angle = std::atan2(eye.z, eye.x);
+      }
+      return angle.has_value();
+    }));
+    return angle.value_or(0);
   }
 
   std::shared_ptr<bus::Context> peer_;
@@ -57,6 +74,29 @@ class ViewerTest : public StreamTest {
   std::unique_ptr<viewer::Viewer> viewer_;
   std::thread thread_;
 };
+
+TEST_F(ViewerTest, TheNextOneGoesOnWhereThisOneWas) {
+  start_streamer();
+  trainer_.publish(stream::test::toy_model(100, 1));
+  bus::Subscriber poses(peer_, {"viewer/pose"});
+  ASSERT_TRUE(poses.wait_connected(bus_test::patience));
+  // A quarter of its way, and it waits there.
+  start_viewer({{"period_s", "100"}, {"path_start_s", "25"}, {"path_run", "false"}});
+  const double before = told_angle(poses);
+  EXPECT_NEAR(std::abs(before), M_PI / 2, 0.01);
+  stop_viewer();
+  const auto leaving = connect("viewer");
+  ASSERT_TRUE(leaving->wait_connected(bus_test::patience));
+  viewer::leave_place(*leaving, viewer_->place());
+  const auto place = viewer::take_place(*connect("viewer"));
+  ASSERT_TRUE(place);
+  EXPECT_DOUBLE_EQ(place->path_s, 25);
+  EXPECT_FALSE(viewer::take_place(*connect("viewer"))) << "once";
+  while (poses.receive(0ms)) {
+  }
+  start_viewer({{"period_s", "100"}, {"path_run", "false"}}, place);
+  EXPECT_NEAR(told_angle(poses), before, 1e-4);
+}
 
 /// As the engine does, with what it is said to have drawn.
 void answer(bus::Publisher& engine, const wire::ViewerProbe& asked, const SceneState& scene,
