@@ -13,7 +13,6 @@ namespace splatbus::bus {
 
 namespace {
 
-constexpr std::size_t kMostBytes = std::size_t{1} << 30U;
 constexpr const char* kRole = "handover";
 constexpr std::chrono::milliseconds kAnswerPatience{500};  // whoever ends a service may kill it after 3 s
 
@@ -30,23 +29,24 @@ bool leave_handover(Context& bus, std::size_t bytes, const std::function<void(st
   return true;
 }
 
-bool take_handover(Context& bus, const std::function<void(std::span<const std::byte>)>& take,
+bool take_handover(Context& bus, const std::function<void(std::span<const std::byte>)>& take, std::size_t most_bytes,
                    std::chrono::milliseconds patience) {
-  const auto slab = bus.adopt_slab(fmt::format("{}/{}", bus.source(), kRole), static_cast<int>(patience.count()));
+  auto slab = bus.adopt_slab(fmt::format("{}/{}", bus.source(), kRole), static_cast<int>(patience.count()));
   if (!slab) return false;
-  struct Drop {
-    Context& bus;
-    ~Drop() { bus.drop_slab(kRole); }
-  } const drop{bus};
+  // What was verified is not to change, and what ends its reader is not to end the next one too: it is copied, and gone
+  // before it is read.
   const bool is_one = slab->descriptor().kind == Device::Cpu && slab->slots() == 1;
-  if (!is_one || slab->sequence(0) == 0 || slab->sequence(0) % 2 != 0) {
-    throw Error("it is not one slot of host memory, written to its end");
-  }
+  const bool is_whole = is_one && slab->sequence(0) != 0 && slab->sequence(0) % 2 == 0;
   const std::size_t bytes = slab->slot_bytes();
-  if (bytes > kMostBytes) throw Error(fmt::format("it has {} MiB", bytes >> 20U));
-  // Who left it may still be writing, and what was verified is not to change.
-  const auto copy = std::make_unique_for_overwrite<std::byte[]>(bytes);
-  std::memcpy(copy.get(), slab->slot_data(0), bytes);
+  std::unique_ptr<std::byte[]> copy;
+  if (is_whole && bytes <= most_bytes) {
+    copy = std::make_unique_for_overwrite<std::byte[]>(bytes);
+    std::memcpy(copy.get(), slab->slot_data(0), bytes);
+  }
+  slab.reset();
+  bus.drop_slab(kRole);
+  if (!is_whole) throw Error("it is not one slot of host memory, written to its end");
+  if (!copy) throw Error(fmt::format("it has {} MiB", bytes >> 20U));
   take({copy.get(), bytes});
   return true;
 }

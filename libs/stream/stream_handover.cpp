@@ -29,8 +29,7 @@ ParsedPacket parse(const flatbuffers::Vector<std::uint8_t>& packet, std::span<co
 void take_page(ReplicatedState& state, const wire::HandedPage& page, std::uint64_t epoch,
                std::unordered_set<std::uint64_t>& ids) {
   const auto& payload = *page.payload();
-  const ParsedPacket packet =
-      parse(*page.packet(), {payload.data(), payload.size()}, epoch, wire::Body::Page);
+  const ParsedPacket packet = parse(*page.packet(), {payload.data(), payload.size()}, epoch, wire::Body::Page);
   const std::uint32_t number = packet.root().body_as_Page()->page();
   if (state.find(number)) throw StreamError(fmt::format("handover: page {} comes twice", number));
   (void)apply(state, packet);
@@ -64,8 +63,7 @@ StreamHandover read_handover(std::span<const std::uint8_t> bytes) {
   StreamHandover out;
   ReplicatedState& state = out.held;
   state.epoch = epoch;
-  state.layout = StreamLayout::from_wire(
-      *parse(*root.layout(), {}, epoch, wire::Body::Layout).root().body_as_Layout());
+  state.layout = StreamLayout::from_wire(*parse(*root.layout(), {}, epoch, wire::Body::Layout).root().body_as_Layout());
   state.gaussians = HeldGaussians(state.layout);
   if (root.scene()) (void)apply(state, parse(*root.scene(), {}, epoch, wire::Body::Scene));
   std::unordered_set<std::uint64_t> ids;

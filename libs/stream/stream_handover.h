@@ -13,8 +13,8 @@ struct StreamHandover {
   std::uint32_t version = 0;  ///< of the newest page
 };
 
-/// Reads what StreamModel::hand_over() wrote (wire::StreamHandover): the packets by which a viewer would hold all of it,
-/// and what viewers are not told. `bytes` are aligned to 8. Throws StreamError, naming what is wrong.
+/// Reads what StreamModel::hand_over() wrote (wire::StreamHandover): the packets by which a viewer would hold all of
+/// it, and what viewers are not told. `bytes` are aligned to 8. Throws StreamError, naming what is wrong.
 [[nodiscard]] StreamHandover read_handover(std::span<const std::uint8_t> bytes);
 
 }  // namespace splatbus::stream

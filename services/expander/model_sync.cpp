@@ -40,10 +40,10 @@ bool ModelSync::refresh(const AdoptModel& adopt_model, GaussianInserter& inserte
 
 void ModelSync::restart(GaussianInserter& inserter, RetransmitQueue& queue) {
   stale_ = false;
+  inserter.clear();  // also what was adopted
   if (!queue.ever_acknowledged() && queue.pending() == 0) return;
   ++restarts_;
   queue.restart();
-  inserter.clear();
   inserter.add(queue.pending_batches());
   spdlog::info("the trainer has an empty model: inserting {} batches again", queue.pending());
 }

@@ -4,7 +4,6 @@
 
 #include <algorithm>
 
-#include "bus/error.h"
 #include "bus/handover.h"
 #include "expander/expander.h"
 #include "expander/handover.h"
@@ -18,7 +17,7 @@ void Expander::adopt_handover() {
                     inserter_.cells(), inserter_.filled());
     });
     if (adopted) spdlog::info("goes on with {} cells that were filled before", inserter_.filled().size());
-  } catch (const bus::Error& error) {
+  } catch (const std::exception& error) {
     spdlog::warn("what was filled is not known, as what was left cannot be used: {}", error.what());
   }
 }
@@ -28,9 +27,8 @@ void Expander::leave_behind() {
   try {
     const std::vector<std::uint8_t> bytes =
         write_handover(options_->cell_size_m, inserter_.cells(), inserter_.filled());
-    (void)bus::leave_handover(*context_, bytes.size(), [&](std::byte* to) {
-      std::ranges::copy(std::as_bytes(std::span(bytes)), to);
-    });
+    (void)bus::leave_handover(*context_, bytes.size(),
+                              [&](std::byte* to) { std::ranges::copy(std::as_bytes(std::span(bytes)), to); });
   } catch (const std::exception& error) {
     spdlog::warn("what was filled is not kept for an expander that comes after: {}", error.what());
   }

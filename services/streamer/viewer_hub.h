@@ -92,8 +92,11 @@ class ViewerHub {
   [[nodiscard]] std::size_t viewers() const { return viewers_.size(); }
   /// Whether anybody is sent anything of the model: a viewer, or one who asks for pages.
   [[nodiscard]] bool is_followed() const { return !viewers_.empty() || !readers_.empty(); }
-  /// Viewers of a streamer before may be on their way: that nobody is here counts from now on.
-  void await_viewers(std::int64_t now_ns) { empty_since_ns_ = now_ns; }
+  /// Viewers of the streamer before are on their way: that nobody is here counts from now on.
+  void await_viewers_of_before(std::int64_t now_ns) {
+    empty_since_ns_ = now_ns;
+    epoch_of_before_ = model_.status().epoch;
+  }
   /// How long nobody has been here; 0 while somebody is.
   [[nodiscard]] double empty_s(std::int64_t now_ns) const;
   /// Of some viewers, in turn: what they see comes first in a tick.
@@ -178,6 +181,7 @@ class ViewerHub {
   /// Begins where no other process does: who comes from another streamer of the same stream is numbered anew.
   std::uint64_t connections_;
   std::int64_t empty_since_ns_ = 0;
+  std::uint64_t epoch_of_before_ = 0;  ///< that was begun by another streamer; 0: none
   bus::LogLimiter log_limiter_;
 };
 

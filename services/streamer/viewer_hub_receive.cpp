@@ -229,7 +229,9 @@ void ViewerHub::hello(const Endpoint::Received& received, std::int64_t now_ns) {
         gone.push_back(page->page());
       }
     }
-    viewer.feed.resume(board_, pages, body.visibility_version() == board_.visibility_version());
+    // Which pages of a version one was not sent its lights for only the streamer before knew.
+    const bool is_current = body.visibility_version() == board_.visibility_version() && held.epoch != epoch_of_before_;
+    viewer.feed.resume(board_, pages, is_current);
     viewer.feed.tell_gone(model_, std::move(gone));
   }
   say(fmt::format("viewer {} {}", viewer.name, same ? "is back" : "joined"));

@@ -3,6 +3,8 @@
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
 
+#include <limits>
+
 #include "bus/clock.h"
 #include "bus/error.h"
 #include "bus/handover.h"
@@ -92,12 +94,13 @@ void Trainer::adopt_handover() {
   Restored restored;
   try {
     const bool adopted = bus::take_handover(
-        *service_.bus, [&](std::span<const std::byte> bytes) { restored = optimizer_->restore(bytes); });
+        *service_.bus, [&](std::span<const std::byte> bytes) { restored = optimizer_->restore(bytes); },
+        std::numeric_limits<std::size_t>::max());
     if (adopted && restored.refusal.empty()) {
       spdlog::info("goes on with the moments and ages of {} Gaussians", restored.gaussians);
     }
     if (adopted) service_.counter("handed_over", static_cast<double>(restored.gaussians));
-  } catch (const bus::Error& error) {
+  } catch (const std::exception& error) {
     restored.refusal = error.what();
   }
   if (!restored.refusal.empty()) {

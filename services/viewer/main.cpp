@@ -72,7 +72,8 @@ void run_on_bus(splatbus::bus::ServiceContext& service) {
                            .detail = [&](const std::string& text) { service.detail(text); },
                            .place = splatbus::viewer::take_place(*service.bus)});
   viewer.run();
-  splatbus::viewer::leave_place(*service.bus, viewer.place());
+  // Who starts another one later begins where the parameters say.
+  if (service.yields()) splatbus::viewer::leave_place(*service.bus, viewer.place());
 }
 
 /// A fixed flight through OpenGL without a window, and a line of JSON: how fast it was.

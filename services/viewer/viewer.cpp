@@ -51,6 +51,11 @@ std::unique_ptr<Window> make_window(const Options& options, const Camera& camera
   return std::make_unique<Window>(camera, "splatbus: " + name, what);
 }
 
+ViewerHost of_the_same_path(ViewerHost host, const PathOptions& path) {
+  if (host.place && host.place->path != name_of(path)) host.place.reset();
+  return host;
+}
+
 /// A person goes on from where the window before was, with the size that this one has.
 Camera first_camera(const Options& options, const CameraPath& path, const std::optional<Place>& place) {
   Camera camera = path.at(place ? place->path_s : options.path.start_s);
@@ -67,7 +72,7 @@ std::unique_ptr<Painter> make_painter(const Options& options, bool opengl, Devic
 
 Viewer::Viewer(const bus::Parameters& parameters, ViewerHost host)
     : options_(parameters),
-      host_(std::move(host)),
+      host_(of_the_same_path(std::move(host), options_->path)),
       path_(options_->path),
       path_clock_(options_->path, bus::now_ns(), host_.place ? host_.place->path_s : options_->path.start_s),
       path_options_(options_->path),
@@ -121,7 +126,7 @@ void Viewer::run() {
 }
 
 Place Viewer::place() const {
-  return {.path_s = path_clock_.seconds(bus::now_ns()), .camera = camera_};
+  return {.path = name_of(options_->path), .path_s = path_clock_.seconds(bus::now_ns()), .camera = camera_};
 }
 
 void Viewer::renew_context(const ContextLost& lost) {

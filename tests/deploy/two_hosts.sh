@@ -38,6 +38,10 @@ for _ in $(seq 100); do
   [ -n "$away" ] && [ "$(readlink "/proc/$away/ns/net")" != "$(readlink /proc/self/ns/net)" ] && break
   sleep 0.05
 done
+if [ -z "$away" ] || ! nsenter --target "$away" --net --mount --pid -- true 2>/dev/null; then
+  echo "skipped: no second host can be entered here" >&2
+  exit 77
+fi
 ip link set lo up
 ip link add cable type veth peer name cable netns "$away"
 ip addr add "$here/24" dev cable
@@ -108,8 +112,14 @@ is_picture() {
   newest="$(find "$work/away/$1" -name '*.png' 2>/dev/null | sort | tail -n 1)"
   [ -n "$newest" ] && [ "$(stat -c %s "$newest")" -gt 4000 ]
 }
-pictures guest "tcp://$here:7600" "$server" from_here >"$work/viewer.log" 2>&1
-is_picture from_here || fail "it shows nothing"
+shows() {  # as pictures(): some of several times ten seconds show a model
+  for _ in $(seq 6); do
+    pictures "$@" >"$work/viewer_$4.log" 2>&1
+    if is_picture "$4"; then return; fi
+  done
+  fail "a viewer of $2 shows nothing"
+}
+shows guest "tcp://$here:7600" "$server" from_here
 pictures stranger "tcp://$here:7600" "$server" strange >"$work/strange.log" 2>&1
 if is_picture strange; then fail "a key that nobody allowed is sent the stream"; fi
 
@@ -118,8 +128,7 @@ elsewhere "$bin/splatbus-streamer" --bus "tcp://$here:7555" --name far --key "$w
   --set endpoint="tcp://$there:7601" >"$work/far.log" 2>&1 &
 until_it 60 "$bin/splatbus" health far
 far_server="$(public_key "$work/away/server.key")"
-pictures guest "tcp://$there:7601" "$far_server" from_there >"$work/near_viewer.log" 2>&1
-is_picture from_there || fail "'far' shows nothing"
+shows guest "tcp://$there:7601" "$far_server" from_there
 
 # Who is no longer allowed is out at once.
 "$bin/splatbus" keys revoke guest >/dev/null

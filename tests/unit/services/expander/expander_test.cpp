@@ -165,6 +165,20 @@ TEST_P(ExpanderTest, ATrainerThatLostItsModelGetsItAgain) {
   EXPECT_EQ(distinct_points(), 1600U);
 }
 
+TEST_P(ExpanderTest, AModelThatWasAdoptedAndIsLostIsMadeAnew) {
+  start();
+  publish_input(floor_round(-1, 1));
+  ASSERT_TRUE(settled_after(1));
+  expander_.reset();
+  start();
+  ASSERT_EQ(expander_->inserter().modelled().size(), 1600U);
+  start_trainer();
+  ASSERT_TRUE(until([&] { return expander_->inserter().modelled().size() == 0; }));
+  publish_input(floor_round(-1, 1));
+  ASSERT_TRUE(settled_after(1));
+  EXPECT_EQ(trainer_->points.size(), 1600U);
+}
+
 TEST_P(ExpanderTest, WaitsForTheTrainerToSayWhatItHas) {
   trainer_.reset();
   expander_ = std::make_unique<Expander>(connect("another-bus-name"), parameters_, GetParam().backend);

@@ -47,6 +47,18 @@ TEST_F(StreamerTest, TheNextStreamerGoesOnWithTheStream) {
     some.resize(count);
     return some;
   };
+  {
+    // The broker keeps the last offer of one that is long gone.
+    const auto gone = connect("streamer-9");
+    ASSERT_TRUE(gone->wait_connected(bus_test::patience));
+    bus::Publisher(gone).publish(topics::kStreamerOffer, {.latch_key = "streamer-9"}, [](auto& builder, auto header) {
+      const std::vector<flatbuffers::Offset<flatbuffers::String>> endpoints{builder.CreateString("ipc:///nowhere")};
+      return wire::CreateStreamerOfferDirect(builder, header, &endpoints, 0, 64);
+    });
+    bus::Subscriber offers(observer_, {"stream/offer"});
+    ASSERT_TRUE(wait_message<wire::StreamerOffer>(
+        offers, "StreamerOffer/1", [](const auto& body) { return body.header()->source()->str() == "streamer-9"; }));
+  }
   trainer_.publish(first_of_all(3000));
   StreamClient client(client_options("one"));
   ASSERT_TRUE(poll_until([&] { return client.replica().count() == 3000; }, client));
