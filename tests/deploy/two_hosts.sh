@@ -15,10 +15,12 @@ fi
 here=10.77.0.1
 there=10.77.0.2
 work="$(mktemp -d)"
-keeper=""
+keeper="" launched=""
 clean_up() {
-  jobs -p | xargs -r kill 2>/dev/null || true
-  sleep 3  # the services have that long
+  if [ -n "$launched" ]; then
+    kill "$launched" 2>/dev/null || true
+    timeout 20 tail --pid="$launched" -f /dev/null || true  # it stops its services first
+  fi
   kill -KILL "$keeper" $(jobs -p) 2>/dev/null || true  # which unshare does not do for a signal
   wait || true
   rm -rf "$work" || true
@@ -90,6 +92,7 @@ services:
   - {name: streamer, parameters: {tcp: "tcp://$here:7600"}}
 YAML
 "$bin/splatbus" launch "$work/here.yaml" >"$work/launch.log" 2>&1 &
+launched=$!
 until_it 60 "$bin/splatbus" health streamer
 
 topic() {  # KEY SECONDS TOPIC: one message, read on the other host
